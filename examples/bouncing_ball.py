@@ -12,7 +12,8 @@ import twistax as tx
 
 jax.config.update("jax_enable_x64", True)
 
-h, v, e = tx.State("h"), tx.State("v"), tx.Parameter("e", value=0.8)  # height, m; speed, m/s; restitution
+h, v = tx.State("h", unit="m"), tx.State("v", unit="m/s")  # height and speed
+e = tx.Parameter("e", value=0.8, unit="1")  # restitution
 ball = tx.compile(tx.System(rates={h: v, v: -9.81}))
 flight = tx.Phase(ball, event=tx.Event(h, direction=-1), duration=5.0)
 bounce = {v: -e * v, h: 0.0}  # the first state of the next phase, by the last one

@@ -11,9 +11,9 @@ import twistax as tx
 jax.config.update("jax_enable_x64", True)
 
 M, m, l, g = 1.0, 0.3, 0.5, 9.81  # cart and pole, kg; length, m; m/s2
-x, a = tx.State("x", min=-2.0, max=2.0), tx.State("a")  # place of the cart, m; angle from hanging, rad
-xd, ad = tx.State("xd"), tx.State("ad")
-push = tx.Control("push", min=-20.0, max=20.0)  # N
+x, a = tx.State("x", min=-2.0, max=2.0, unit="m"), tx.State("a", unit="rad")  # place of the cart; angle from hanging
+xd, ad = tx.State("xd", unit="m/s"), tx.State("ad", unit="rad/s")
+push = tx.Control("push", min=-20.0, max=20.0, unit="N")
 s, c = tx.Sin(a), tx.Cos(a)
 free = M + m * s**2
 cart_pole = tx.compile(

@@ -12,9 +12,9 @@ mass, offset, inertia = 2.0, np.array([0.1, -0.05, 0.2]), np.diag([1.0, 2.0, 3.0
 c = np.array(tx.lie.so3.hat(offset))
 M0 = np.block([[mass * np.eye(3), -mass * c], [mass * c, inertia - mass * c @ c]])
 
-g = tx.State("g", group=tx.SE3)  # pose of the body in the world
-V = tx.State("V", shape=(6,))  # body twist [v; w], m/s and rad/s
-M = tx.Parameter("M", shape=(6, 6), value=M0)
+g = tx.State("g", group=tx.SE3, kind=tx.kinds.Pose("world", "body"))  # pose of the body in the world
+V = tx.State("V", shape=(6,), kind=tx.Twist("body"))  # body twist [v; w], m/s and rad/s
+M = tx.Parameter("M", shape=(6, 6), value=M0, kind=tx.kinds.Inertia("body"))
 momentum = M @ V
 
 body = tx.System(

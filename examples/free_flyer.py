@@ -13,8 +13,9 @@ jax.config.update("jax_enable_x64", True)
 
 M = np.diag([12.0, 12.0, 12.0, 0.18, 0.20, 0.22])  # spatial inertia, kg and kg m2
 most = np.array([0.6, 0.3, 0.3, 0.02, 0.02, 0.02])  # N and N m
-g, V = tx.State("g", group=tx.SE3), tx.State("V", shape=(6,))  # pose; body twist
-F = tx.Control("F", shape=(6,), min=-most, max=most)  # body wrench
+g = tx.State("g", group=tx.SE3, kind=tx.kinds.Pose("station", "flyer"))
+V = tx.State("V", shape=(6,), kind=tx.Twist("flyer"))
+F = tx.Control("F", shape=(6,), min=-most, max=most, kind=tx.Wrench("flyer"))
 flyer = tx.compile(tx.System(rates={g: V, V: tx.linalg.Solve(M, F - tx.lie.AdjointDual(V, M @ V))}))
 
 dock = tx.pose(position=[2.0, 1.0, 0.0], euler=[0.0, 0.0, np.pi / 2])

@@ -13,7 +13,8 @@ jax.config.update("jax_enable_x64", True)
 
 mass, length, gravity = 0.5, 0.06, 9.81  # kg, m from the tip to the centre of mass, m/s2
 J = np.array([2.4e-3, 2.4e-3, 6.0e-4])  # about the tip, kg m2; the axis of symmetry is z
-R, w = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,))  # body to world; body rate, rad/s
+R = tx.State("R", group=tx.SO3, kind=tx.kinds.Rotation("world", "top"))
+w = tx.State("w", shape=(3,), kind=tx.FreeVector("top"), unit="rad/s")
 weight = R.T @ np.array([0.0, 0.0, -mass * gravity])
 torque = tx.linalg.Cross(np.array([0.0, 0.0, length]), weight)
 top = tx.System(

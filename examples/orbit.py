@@ -13,7 +13,8 @@ import twistax as tx
 jax.config.update("jax_enable_x64", True)
 
 MU, RADIUS, J2 = 3.986004418e14, 6.378137e6, 1.08262668e-3  # m3/s2, m, 1
-r, v = tx.State("r", shape=(3,), scale=RADIUS), tx.State("v", shape=(3,), scale=7e3)
+r = tx.State("r", shape=(3,), scale=RADIUS, kind=tx.Point("inertial"))
+v = tx.State("v", shape=(3,), scale=7e3, kind=tx.FreeVector("inertial"), unit="m/s")
 d = tx.linalg.Norm(r)
 up = r[2] / d
 oblate = 1.5 * J2 * (RADIUS / d) ** 2 * tx.Concat(r[:2] * (5.0 * up**2 - 1.0), r[2] * (5.0 * up**2 - 3.0))

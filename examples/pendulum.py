@@ -8,9 +8,9 @@ import twistax as tx
 
 jax.config.update("jax_enable_x64", True)
 
-R = tx.State("R", group=tx.SO3)  # attitude: body to world
-w = tx.State("w", shape=(3,))  # body rate, rad/s
-torque = tx.Control("torque", shape=(3,))  # at the pivot, body frame, N m
+R = tx.State("R", group=tx.SO3, kind=tx.kinds.Rotation("world", "body"))
+w = tx.State("w", shape=(3,), kind=tx.FreeVector("body"), unit="rad/s")
+torque = tx.Control("torque", shape=(3,), kind=tx.FreeVector("body"), unit="N m")  # at the pivot
 m, l, gravity = 1.0, 0.7, np.array([0.0, 0.0, -9.81])  # kg, m, m/s2
 J = np.diag([m * l**2, m * l**2, 0.01])  # about the pivot, kg m2
 arm = np.array([0.0, 0.0, -l])  # pivot to bob in the body frame, m

@@ -10,9 +10,9 @@ import twistax as tx
 jax.config.update("jax_enable_x64", True)
 
 mass, J, arm, drag = 0.8, np.diag([5e-3, 5e-3, 9e-3]), 0.17, 0.016  # kg, kg m2, m, m (rotor drag per thrust)
-g = tx.State("g", group=tx.SE3)
-V = tx.State("V", shape=(6,))
-rotors = tx.Control("rotors", shape=(4,), min=0.0, max=6.0)  # thrusts, N
+g = tx.State("g", group=tx.SE3, kind=tx.kinds.Pose("world", "body"))
+V = tx.State("V", shape=(6,), kind=tx.Twist("body", of="quadrotor", relative_to="world"))
+rotors = tx.Control("rotors", shape=(4,), min=0.0, max=6.0, unit="N")  # thrusts
 
 # Thrust and torques of a plus frame: each row is linear in the four thrusts.
 mixer = np.array([[1, 1, 1, 1], [0, arm, 0, -arm], [-arm, 0, arm, 0], [drag, -drag, drag, -drag]], float)

@@ -11,15 +11,20 @@ jax.config.update("jax_enable_x64", True)
 
 trunk = SpatialInertia(mass=8.0, inertia=np.diag([0.06, 0.16, 0.19]))
 leg = SpatialInertia(mass=0.8, center_of_mass=(0.0, 0.0, -0.15), inertia=np.diag([6e-3, 6e-3, 4e-4]))
-links, feet = [Link(joints.Free("trunk"), trunk, np.eye(4))], []
+# What the parts look like.
+body, leg_color = (tx.view.Box((0.5, 0.2, 0.11), color=(217, 119, 54)),), (62, 70, 84)
+thigh = (tx.view.Capsule(0.032, 0.1, at=(0.0, 0.0, -0.07), color=leg_color),)
+shank = (tx.view.Capsule(0.02, 0.14, at=(0.0, 0.0, -0.2), color=(120, 130, 145)),)
+foot = (tx.view.Sphere(0.028, color=(30, 33, 38)),)
+links, feet = [Link(joints.Free("trunk"), trunk, np.eye(4), shapes=body)], []
 for name, x, y in (("fl", 0.2, 0.12), ("fr", 0.2, -0.12), ("rl", -0.2, 0.12), ("rr", -0.2, -0.12)):
-    at = tx.pose(position=[x, y, 0.0])
+    at, below, up = tx.pose(position=[x, y, 0.0]), tx.pose(position=[0.0, 0.0, -0.3]), (0.0, 0.0, 1.0)
     spring = Drive(stiffness=150.0, damping=4.0, armature=0.02)  # a joint that holds its angle
     slide = Drive(stiffness=4e3, damping=150.0, armature=0.05)
     links += [
-        Link(joints.Revolute(f"{name}_roll", (1.0, 0.0, 0.0)), leg, at, parent="trunk", drive=spring),
-        Link(joints.Prismatic(f"{name}_shank", (0.0, 0.0, 1.0)), None, np.eye(4), parent=f"{name}_roll", drive=slide),
-        Link(joints.Fixed(f"{name}_foot"), None, tx.pose(position=[0.0, 0.0, -0.3]), parent=f"{name}_shank"),
+        Link(joints.Revolute(f"{name}_roll", (1.0, 0.0, 0.0)), leg, at, "trunk", drive=spring, shapes=thigh),
+        Link(joints.Prismatic(f"{name}_shank", up), None, np.eye(4), f"{name}_roll", drive=slide, shapes=shank),
+        Link(joints.Fixed(f"{name}_foot"), None, below, parent=f"{name}_shank", shapes=foot),
     ]
     feet.append(f"{name}_foot")
 robot = Mechanism(links, driven=[])
@@ -30,7 +35,7 @@ T = robot.q["trunk"]
 push = 30.0 * tx.Exp(-(((tx.Time() - 0.5) / 0.05) ** 2))
 force = tx.lie.wrench(force=T[:3, :3].T @ tx.Concat(0.0, push, 0.0), torque=np.zeros(3))
 normal = tx.Concat(*((robot.pose(foot)[:3, :3] @ contact[foot][:3])[2] for foot in feet))
-outputs = {"trunk": T[:3, 3], "roll": tx.lie.SO3Log(T[:3, :3])[0], "normal": normal}
+outputs = {"push": tx.Concat(0.0, push, 0.0), "trunk": T[:3, 3], "roll": tx.lie.SO3Log(T[:3, :3])[0], "normal": normal}
 dynamics = tx.compile(robot.system(wrenches={**contact, "trunk": force}, outputs=outputs))
 start = {"q": np.zeros(8), "trunk_position": tx.pose(position=[0.0, 0.0, 0.3]), "qd": np.zeros(14)}
 times = np.linspace(0.0, 1.0, 101)
@@ -53,3 +58,5 @@ right.plot(times, found["normal"], label=feet)
 right.set(xlabel="t (s)", ylabel="force under a foot (N)")
 right.legend()
 figure.savefig("quadruped.png", dpi=100)
+arrow = {"push": tx.view.Arrow("trunk", world=True, scale=0.01)}
+sol.show("quadruped.html", bodies=robot, arrows=arrow, trails=[], caption=["roll"], seconds=6.0)

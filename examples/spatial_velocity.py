@@ -11,11 +11,12 @@ import twistax as tx
 
 jax.config.update("jax_enable_x64", True)
 
-g = tx.State("g", group=tx.SE3)
-xi = tx.Control("xi", shape=(6,))
+g = tx.State("g", group=tx.SE3, kind=tx.kinds.Pose("world", "body"))
+in_body_axes = tx.Control("xi", shape=(6,), kind=tx.Twist("body"))
+in_world_axes = tx.Control("xi", shape=(6,), kind=tx.Twist("world"))
 
-in_body = tx.compile(tx.System(rates={g: xi}))
-in_world = tx.compile(tx.System(rates={g: tx.lie.SE3Adjoint(tx.lie.Inverse(g)) @ xi}))
+in_body = tx.compile(tx.System(rates={g: in_body_axes}))
+in_world = tx.compile(tx.System(rates={g: tx.lie.SE3Adjoint(tx.lie.Inverse(g)) @ in_world_axes}))
 
 start = {"g": tx.pose(position=[1.0, 0.0, 0.0], euler=[0.0, 0.0, np.pi / 2])}
 u = {"xi": np.array([0.5, 0.0, 0.1, 0.0, 0.0, np.pi / 4])}  # m/s and rad/s

@@ -16,13 +16,14 @@ jax.config.update("jax_enable_x64", True)
 
 
 # ---- a stage, by parameters: what is above it is part of its dry mass ------------------------------------------------
-craft, fuel = flight.Vehicle(flight.ROUND_EARTH), tx.State("fuel")
-dry, center = tx.Parameter("dry"), tx.Parameter("center")  # kg; place on the axis, m
-moments = tx.Parameter("moments", shape=(3,))  # about the centre of the dry mass, kg m2
-tank, per_mass = tx.Parameter("tank"), tx.Parameter("per_mass", shape=(3,))  # place, m; inertia per kg of fuel, m2
-thrust, flow, nozzle = tx.Parameter("thrust", value=0.0), tx.Parameter("flow", value=0.0), tx.Parameter("nozzle")
-fins, fin_area = tx.Parameter("fins"), tx.Parameter("fin_area")  # place, m; area with lift slope, m2
-drag_area = tx.Parameter("drag_area")  # with the drag coefficient, m2
+craft, fuel = flight.Vehicle(flight.ROUND_EARTH), tx.State("fuel", unit="kg")
+dry, center = tx.Parameter("dry", unit="kg"), tx.Parameter("center", unit="m")  # mass, and its place on the axis
+moments = tx.Parameter("moments", shape=(3,), unit="kg m2")  # about the centre of the dry mass
+tank, per_mass = tx.Parameter("tank", unit="m"), tx.Parameter("per_mass", shape=(3,), unit="m2")  # inertia per kg
+thrust, flow = tx.Parameter("thrust", value=0.0, unit="N"), tx.Parameter("flow", value=0.0, unit="kg/s")
+nozzle = tx.Parameter("nozzle", unit="m")
+fins, fin_area = tx.Parameter("fins", unit="m"), tx.Parameter("fin_area", unit="m2")  # place; area with lift slope
+drag_area = tx.Parameter("drag_area", unit="m2")  # with the drag coefficient
 
 
 def inertia_of(mass, place, moments):

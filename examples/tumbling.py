@@ -14,7 +14,8 @@ import twistax as tx
 jax.config.update("jax_enable_x64", True)
 
 J = np.array([1.0, 2.0, 3.0])  # principal moments of inertia, kg m2
-R, w = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,))  # attitude; body rate, rad/s
+R = tx.State("R", group=tx.SO3, kind=tx.kinds.Rotation("world", "body"))
+w = tx.State("w", shape=(3,), kind=tx.FreeVector("body"), unit="rad/s")
 L = J * w
 system = tx.System(
     rates={R: w, w: tx.linalg.Cross(L, w) / J},

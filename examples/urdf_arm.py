@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib import pyplot as plt
 
 import twistax as tx
-from twistax.mechanics import joint_wrench, load
+from twistax.mechanics import gravity_forces, joint_wrench, load
 
 jax.config.update("jax_enable_x64", True)
 
@@ -40,3 +40,11 @@ right.plot(sol.ts, found["carried"][:, :3], label=["x", "y", "z"])
 right.set(xlabel="t (s)", ylabel="force carried by the slide, in the tool's axes (N)")
 right.legend()
 figure.savefig("urdf_arm.png", dpi=100)
+
+# The same arm on a path of its joints, by gravity compensation and feedback: an animation of the shapes in the file.
+t = tx.Time()
+path = tx.Concat(1.2 * tx.Sin(t), 0.6 * tx.Sin(2.0 * t) - 0.3, 0.1 * tx.Sin(3.0 * t) + 0.15)
+feedback = gravity_forces(arm) + 80.0 * (path - arm.q) - 8.0 * arm.qd
+tracking = tx.compile(arm.system(controls=[], forces=feedback, outputs={"tool": arm.pose("tool")[:3, 3]}))
+moved = tx.integrate(tracking, start, t1=2.0 * np.pi, rtol=1e-6, save_at=np.linspace(0.0, 2.0 * np.pi, 200))
+moved.show("urdf_arm.html", bodies=arm, trails=["tool"], caption=["tool"])

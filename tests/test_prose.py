@@ -1,16 +1,22 @@
 """Prose in the vocabulary of the field: phrases that readers did not understand are refused."""
 
+import ast
+import inspect
 import re
 from pathlib import Path
 
 import pytest
 
+from test_docs import module_of_site
+
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
-#: What a user reads first: these pages are held to more.
+#: Pages that programs write, and lists of facts for developers.
+NOT_PAGES = {"changelog.md", "measured.md", "roadmap.md"}
+#: What users read: these pages are held to more.
 FIRST = [
     ROOT / "README.md",
-    *(DOCS / f"{name}.md" for name in ("index", "install", "landing", "mechanics", "migration", "release")),
+    *(page for page in sorted(DOCS.glob("*.md")) if page.name not in NOT_PAGES),
     *sorted((DOCS / "tutorial").glob("*.md")),
     *sorted((DOCS / "howto").glob("*.md")),
     *sorted((DOCS / "gallery").glob("*.md")),
@@ -36,7 +42,7 @@ REFUSED = {
     r"\bthinks nothing of\b": "ignores",
     r"\bmay well be\b": "may be",
 }
-#: Refused on the pages for new users, and in the examples.
+#: Refused on the pages for users, in the examples, in docstrings of public names and in messages of errors.
 REFUSED_FIRST = {
     r"\b(is|are|was) said\b": "the message states, the status is",
     r"\bsaid of\b": "notes",
@@ -56,11 +62,36 @@ REFUSED_FIRST = {
     r"\bstays what it\b": "is conserved, is constant",
     r"\bto be worth\b|\bis worth\b": "state the effect",
     r"\bthat much\b": "name the quantity",
-    r"\banew\b(?=\.|,)": "again; recompile",
+    r"\banew\b(?=\.)": "again; recompile",
     r"\bcompiles? nothing\b": "does not recompile",
     r"\bmakes? sense\b": "is defined, is feasible",
     r"\bhangs? on\b": "depends on",
+    r"\bunless (told|said) otherwise\b|\bunless given\b": "by default",
+    r"\bas given\b": "as passed, the argument",
+    r"\bwhat else\b": "name it: further outputs",
+    r"\bforms? in scalars\b": "scalar form",
+    r"\b(is|are) (sought|looked for)\b": "is unknown, is computed",
+    r"\bon the word of\b": "is trusted",
+    r"\bup to there\b": "up to this point",
+    r"\bat hand\b": "is available",
+    r"\bdo(es)? no harm\b": "is ignored, has no effect",
+    r"\bwithout a word\b": "silently",
+    r"\bround without end\b": "an infinite loop",
+    r"\b(is|are) yours\b": "you provide, the user provides",
+    r"\bfor the engineer\b": "state what the page describes",
+    r"\bwhoever\b": "those who",
+    r"\ba hair (nearer|above|below)\b": "slightly",
+    r"\bpays\b": "is faster, is useful",
+    r"\bone after the other\b": "successively, in series, concatenated",
+    r"\bspoils\b": "state the effect",
 }
+
+
+def messages(path: Path) -> list[str]:
+    """The constant parts of the messages that a module raises."""
+    raised = (node.exc for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Raise) and node.exc)
+    parts = (part for error in raised for part in ast.walk(error) if isinstance(part, ast.Constant))
+    return [part.value for part in parts if isinstance(part.value, str)]
 
 
 def lines_with(phrase: str, paths: list[Path]) -> list[str]:
@@ -81,6 +112,22 @@ def test_a_refused_phrase_is_nowhere(phrase: str) -> None:
 @pytest.mark.parametrize("phrase", REFUSED_FIRST)
 def test_a_refused_phrase_is_on_no_page_for_new_users(phrase: str) -> None:
     assert lines_with(phrase, FIRST) == [], f"write instead: {REFUSED_FIRST[phrase]}"
+
+
+@pytest.fixture(scope="module")
+def texts() -> dict[str, str]:
+    """Docstrings of public names, and messages of errors by file, without code in backticks."""
+    found = {path.relative_to(ROOT).as_posix(): "\n".join(messages(path)) for path in (ROOT / "src").rglob("*.py")}
+    for name in module_of_site("names").public_names():
+        found[name.path] = inspect.getdoc(name.value) or ""
+        found |= {f"{name.path}.{part}": inspect.getdoc(getattr(name.value, part)) or "" for part in name.members()}
+    return {place: re.sub(r"`[^`]*`", "", text) for place, text in found.items()}
+
+
+def test_no_public_docstring_and_no_message_has_a_refused_phrase(texts: dict[str, str]) -> None:
+    assert len(texts) > 1000
+    refused = re.compile("|".join(REFUSED | REFUSED_FIRST), re.IGNORECASE)
+    assert [f"{place}: {hit[0]}" for place, text in texts.items() if (hit := refused.search(text))] == []
 
 
 def test_no_page_for_new_users_writes_a_prime_for_a_rate_or_a_transpose() -> None:

@@ -41,8 +41,9 @@ NO_ERRORS = {
         estimation.Consistency estimation.Estimate estimation.FilterRun estimation.Innovations estimation.Observability
         estimation.Prediction estimation.Smoothed estimation.Update estimation.Verdict estimation.AllanVariance
         estimation.GroupAffinity estimation.InertialState estimation.Invariance estimation.PreintegratedImu
-        estimation.BatchEstimate Solution Statistics Sweep Trim charts.Coordinates diffrax.AmbientTerm
-        diffrax.LieController diffrax.LieTerm mechanics.DaveModel mechanics.GivenForces
+        estimation.BatchEstimate Solution Statistics
+        Sweep Trim charts.Coordinates diffrax.AmbientTerm diffrax.LieController diffrax.LieTerm mechanics.DaveModel
+        mechanics.BaseParameters mechanics.GivenForces mechanics.ReachResult mechanics.ReachStatus mechanics.Regressor
         mechanics.joints.Screws mechanics.environment.earth.Geodetic mechanics.flight.AirData
         mechanics.flight.Gust mechanics.flight.ImuReading trajectory.Discretization trajectory.Linearization
         trajectory.Accuracy trajectory.ControllerLog

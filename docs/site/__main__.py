@@ -6,7 +6,6 @@ The code of pages and examples is executed first, where its results are not kept
 from __future__ import annotations
 
 import argparse
-import json
 import shutil
 import sys
 import time
@@ -20,6 +19,7 @@ import execution
 import notebooks
 import results
 import search
+import versions
 from sphinx.cmd.build import build_main
 
 import twistax
@@ -73,6 +73,7 @@ def _execute(processes: int) -> None:
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python docs/site", description="Builds the documentation site.")
     parser.add_argument("--out", type=Path, default=Path("out/site"), help="folder for the pages (./out/site)")
+    parser.add_argument("--versions", type=Path, help="folder of several versions, into which the site is copied")
     parser.add_argument("--external", action="store_true", help="follow links to other sites instead; needs a network")
     given = parser.parse_args()
     begun = time.perf_counter()
@@ -87,12 +88,14 @@ def main() -> int:
     if failed or given.external:
         return failed
     results.copy_files(given.out)
-    (given.out / "versions.json").write_text(json.dumps([{"version": twistax.__version__, "address": "."}]) + "\n")
     notebooks.write(given.out / results.NOTEBOOKS, results.pages())
+    versions.describe(given.out, twistax.__version__)
     found = search.write(given.out)
     dead = dead_links(given.out, [entry.address for entry in found])
     for link in dead:
         print(f"leads nowhere: {link}", file=sys.stderr)
+    if given.versions and not dead:
+        versions.add(given.out, given.versions)
     count = len(list(given.out.rglob("*.html")))
     print(f"{count} pages in {time.perf_counter() - begun:.0f} s: {given.out / 'index.html'}")
     return 1 if dead else 0

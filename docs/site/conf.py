@@ -49,6 +49,17 @@ html_math_renderer = "mathml"
 #: Besides files of this folder the font of formulas, which no commit holds.
 html_static_path = ["static", str(fonts.folder())]
 templates_path = ["templates"]
+#: Furo's sidebar with the selector of versions (static/versions.js) below the name.
+html_sidebars = {
+    "**": [
+        "sidebar/brand.html",
+        "versions.html",
+        "sidebar/search.html",
+        "sidebar/scroll-start.html",
+        "sidebar/navigation.html",
+        "sidebar/scroll-end.html",
+    ]
+}
 #: In place of Sphinx's search: search.py writes the index, and static/search.js ranks its entries.
 html_additional_pages = {"search": "search.html"}
 html_css_files = ["site.css"]

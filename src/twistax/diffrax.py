@@ -20,7 +20,7 @@ __all__ = ["AmbientTerm", "LieController", "LieSolver", "LieTerm", "ambient_term
 
 
 class AmbientTerm(diffrax.ODETerm):
-    """A `diffrax.ODETerm` that knows how to write a state in its numbers and read it back."""
+    """A `diffrax.ODETerm` that converts states to arrays of numbers and back."""
 
     ambient: AmbientSystem = eqx.field(static=True)
 
@@ -33,7 +33,7 @@ class AmbientTerm(diffrax.ODETerm):
         return self.ambient.to_ambient(x)
 
     def from_ambient(self, y: Mapping[str, Any]) -> Arrays:
-        """The state of one y; map over saved times with jax.vmap."""
+        """The state of one y. For saved times use jax.vmap."""
         return self.ambient.from_ambient(y)
 
 
@@ -44,8 +44,8 @@ def ambient_term(dynamics: Dynamics, quaternion: bool = True) -> AmbientTerm:
         sol = diffrax.diffeqsolve(term, diffrax.Dopri8(), 0.0, 10.0, 0.01, term.to_ambient(x0), args=(u, params))
         xs = jax.vmap(term.from_ambient)(sol.ys)
 
-    y is a dict by state name: poses are [quaternion, position] (7,), rotations quaternions (4,), w first; with
-    quaternion=False both are matrices, which leave the group by the solver's error. Other states are as they are.
+    y is a dict by state name: poses are [quaternion, position] (7,), rotations quaternions (4,), w first. With
+    quaternion=False both are matrices, which drift from the group by the solver's error. Other states are unchanged.
 
     Raises:
         ModelError: a state on a group without such numbers.

@@ -41,7 +41,7 @@ _EVERYWHERE = (
 
 
 class TwistaxError(Exception):
-    """Base of every error raised by this package on purpose. A traceback ends with the page that explains it."""
+    """Base of every error that this package raises on purpose. A traceback ends with the page that explains it."""
 
     #: That page. It is a note and no part of the message.
     page: ClassVar[str] = "docs/reference/errors.md"
@@ -65,9 +65,9 @@ def _page_of_caller() -> str | None:
 
 
 class ShapeError(TwistaxError, ValueError):
-    """A shape does not fit.
+    """A shape does not match.
 
-    The first line is the plain sentence. `at` adds where in the tree the node stands, `hint` how to mend it.
+    The first line states the mismatch. `at` adds the place in the expression tree, `hint` a remedy.
     """
 
     page = "docs/writing_a_system.md#expressions"
@@ -90,7 +90,7 @@ class ShapeError(TwistaxError, ValueError):
 
 
 class ModelError(TwistaxError, ValueError):
-    """A system, problem or leaf is declared in a way that has no meaning."""
+    """A system, problem or leaf is declared inconsistently."""
 
     page = "docs/writing_a_system.md"
     by_part = True
@@ -104,27 +104,27 @@ class OrderError(ModelError):
 
 
 class KindError(ModelError):
-    """Two values of different kind, frame or unit meet where they must agree; the message names what joins them."""
+    """Two values must agree in kind, frame or unit and do not; the message names the operator that joins them."""
 
     page = "docs/kinds.md"
     by_part = False
 
 
 class InputError(TwistaxError, ValueError):
-    """Values given at call time do not fit what was declared."""
+    """Values passed to a call do not match the declarations."""
 
     page = "docs/writing_a_system.md#simulating-it"
     by_part = True
 
 
 class ImmutableError(TwistaxError, AttributeError):
-    """Somebody assigned to a node. Nodes are values; `replace` makes a changed copy."""
+    """An assignment to a node. Nodes are immutable; `replace` makes a changed copy."""
 
     page = "docs/writing_a_system.md"
 
 
 class OperationError(TwistaxError, TypeError):
-    """An operator, an index, a function or an argument that has no meaning for expressions."""
+    """An operator, an index, a function or an argument that expressions do not support."""
 
     page = "docs/writing_a_system.md#expressions"
 
@@ -142,7 +142,9 @@ class TrajectoryError(TwistaxError, RuntimeError):
 
 
 class EstimationError(TwistaxError, RuntimeError):
-    """A filter lost its covariance, or its numbers are not finite. The message names when."""
+    """A covariance of a filter is not positive semidefinite, or its numbers are not finite. The message has the
+    time.
+    """
 
     page = "docs/estimation.md#what-a-run-returns"
 

@@ -1,11 +1,14 @@
 """`tx.kinds`: what a leaf may say of itself, and the rules by which nodes hand it on."""
 
+from typing import Any
+
+from .expr.kinds.declare import declare
 from .expr.kinds.kinds import FreeVector, Inertia, Kind, Momentum, Point, Pose, Rotation, Twist, Wrench
-from .expr.kinds.rules import OPEN, Fixed, Rule
+from .expr.kinds.rules import OPEN, FixedUnits, Rule
 from .expr.kinds.unit import Unit
 
 __all__ = [
-    "Fixed",
+    "FixedUnits",
     "FreeVector",
     "Inertia",
     "Kind",
@@ -18,4 +21,14 @@ __all__ = [
     "Twist",
     "Unit",
     "Wrench",
+    "declare",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Say where a name that has changed is now."""
+    if name == "Fixed":
+        raise AttributeError(
+            "tx.kinds.Fixed, the rule of nodes with fixed units, is tx.kinds.FixedUnits.\n  fix: use the new name"
+        )
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -27,21 +27,21 @@ _WIDTH = 24
 
 
 class Progress:
-    """Lines that show how far a call is: `problem.solve(progress=tx.trajectory.Progress(cost="mass {:.0f} kg"))`.
+    """Progress lines of a call: `problem.solve(progress=tx.trajectory.Progress(cost="mass {:.0f} kg"))`.
 
-    A solve prints a line for each iteration: its cost, the largest violation and the largest change of an unknown,
-    relative to its size. An integration and a sweep overwrite one line. Where there is no terminal a line comes every
+    A solve prints a line for each iteration: its cost, the largest violation and the largest relative change of an
+    unknown. An integration and a sweep overwrite one line. Without a terminal a line is printed every
     five seconds.
-    Within `with progress:` a line with the seconds appears where nothing else was printed for a while. It is a callback
-    of `Problem.solve`, too, and its method `reached` is one of `tx.integrate`.
+    Within `with progress:` a line with the elapsed seconds appears when there is no other output for a while. It is
+    also a callback of `Problem.solve`, and its method `reached` is one of `tx.integrate`.
 
     Args:
-        what: the word the line begins with.
-        cost: how the cost is written, a format such as "mass {:.0f} kg".
-        stream: where it is written; standard error if left out.
+        what: the first word of the line.
+        cost: a format of the cost, such as "mass {:.0f} kg".
+        stream: the output stream; standard error by default.
         shown: True: from the beginning. None: after two seconds, on a terminal only. False: never.
     Raises:
-        TrajectoryError: cost is no format of one number.
+        TrajectoryError: cost is not a format of one number.
     """
 
     def __init__(
@@ -84,19 +84,19 @@ class Progress:
                 self._write(f"took {time.perf_counter() - self._begin:.1f} s", live=False)
 
     def reached(self, t: float, share: float) -> None:
-        """Show the time an integration reached in s, and the share of the way to its end."""
+        """Show the time an integration reached in s, and the completed fraction."""
         self._show(lambda: f"t {t:12.6g} s   {100.0 * share:5.1f} %")
         if share >= 1.0:
             self.close()
 
     def done(self, share: float, what: str, before: float = 0.0) -> None:
-        """Show a bar and the seconds left: the share of something that is done, and that of it from an earlier run."""
+        """Show a bar and the remaining seconds: the completed fraction, and the part of it from an earlier run."""
         took = time.perf_counter() - self._begin
         left = f", {took * (1.0 - share) / (share - before):.0f} s left" if share > before else ""
         self._show(lambda: f"[{'=' * round(_WIDTH * share):<{_WIDTH}}] {share:4.0%} of {what}{left}")
 
     def note(self, text: str) -> None:
-        """Say what is done now, for the line that appears where nothing else is printed."""
+        """Set the text of the line that appears while there is no other output."""
         self._text = text
 
     def close(self) -> None:
@@ -106,7 +106,7 @@ class Progress:
             print("\r\033[K", end="", file=self._stream, flush=True)
 
     def waited(self, since: float) -> None:
-        """Show the seconds where nothing was printed for a while; `since` is the start of the outermost call."""
+        """Show the elapsed seconds if there was no output for a while; `since` is the start of the outermost call."""
         now = time.perf_counter()
         if now - since < max(self._patience, 1.0) or now - self._written < (1.0 if self._live else _LOGGED):
             return

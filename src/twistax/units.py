@@ -48,7 +48,7 @@ def _comparison(operation: Any) -> Any:
 
 
 class Quantity(float):
-    """A float in kg, m, s, rad and K with the exponents of these.
+    """A float in kg, m, s, rad and K with the exponents of these units.
 
     Products, quotients and whole powers are quantities; sums and differences are, if both have one unit. With a plain
     number a sum is a plain number. A list or tuple of numbers times a unit is a list of quantities.
@@ -129,7 +129,9 @@ class Quantity(float):
 
 
 def same_unit(place: str, value: Any, unit: Quantity) -> None:
-    """Raise InputError, which names the place, where a value, alone or in lists, has another unit; none passes."""
+    """Raise InputError, which names the place, if a value, alone or in lists, has another unit; values without a unit
+    pass.
+    """
     if isinstance(value, (list, tuple)):
         for entry in value:
             if entry is not value:  # a list that holds itself is refused as not numeric
@@ -144,10 +146,10 @@ def taken(place: str, value: Any, unit: Quantity, shape: tuple[int, ...] = ()) -
     Args:
         place: names the value in messages.
         value: a number or an array of them; quantities, alone or in lists, must have the unit.
-        unit: what is expected, such as `units.metres`.
+        unit: the expected unit, such as `units.metres`.
         shape: of the value.
     Raises:
-        InputError: another unit or shape, what is no real number, or is not finite.
+        InputError: another unit or shape, or a value that is not a finite real number.
     """
     same_unit(place, value, unit)
     array = reals(place, value, InputError)

@@ -334,7 +334,7 @@ ROWS = [
         "an option no simulator has", lambda: tx.simulator(decay(), DECAY, t1=1.0, dt=0.5, progress=True), "'progress'"
     ),
     bad("a simulator without steps", lambda: tx.simulator(decay(), DECAY, t1=1.0), "dt", "steps"),
-    bad("a simulator's start by another name", lambda: made()({"y": 1.0}), "'y'", "x0", "made with"),
+    bad("a simulator's start by another name", lambda: made()({"y": 1.0}), "'y'", "x0", "built with"),
     bad("a simulator's start of text", lambda: made()(dict.fromkeys(DECAY, "one")), "x0", "'one'"),
     bad("a simulator's start of NaN", lambda: made()(dict.fromkeys(DECAY, np.nan)), "x0", "finite"),
     bad("a simulator's start as a list", lambda: made()([1.0]), "x0", "dict"),

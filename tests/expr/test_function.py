@@ -138,7 +138,7 @@ def test_a_lost_kernel_is_one_line_of_warning_and_a_reason_in_explain() -> None:
         (lambda: tx.Function(jnp.sin, name=""), tx.ModelError, "name"),
         (lambda: tx.Function(jnp.sin, (3,))(x), tx.ShapeError, r"'sin' expects a value of shape \(3,\), got \(2,\)"),
         (lambda: tx.Function(small_net())(x[0]), tx.ShapeError, r"'MLP' fails for operands of shapes \(\)"),
-        (lambda: tx.Function(lambda y: float(y[0]))(x), tx.ModelError, "needs the numbers of its arguments"),
+        (lambda: tx.Function(lambda y: float(y[0]))(x), tx.ModelError, "needs concrete values of its arguments"),
         (lambda: tx.Function(lambda y: y if y[0] > 0 else -y)(x), tx.ModelError, "jax.pure_callback"),
         (lambda: tx.Function(lambda y: (y, y))(x), tx.ModelError, "one array of real numbers"),
         (lambda: tx.Function(lambda y: y.astype(complex))(x), tx.ModelError, "one array of real numbers, got complex"),

@@ -89,10 +89,10 @@ WRONG: dict[str, tuple[Callable[[], tx.System], str, str]] = {
     ),
     "a column of the wrong axes": (outputs(y=R[0, :] * angle + R[:, 0]), "two frames", "maps 'body' to 'world'"),
     "metres and kilograms": (rates((x, x + mass)), "Add has one unit, got m and kg", "divide by"),
-    "a rate without a second": (rates((x, x)), "the rate of 'x' in m is in m s-1, got m", "divide by"),
+    "a rate without a second": (rates((x, x)), "the rate of 'x' in m is in m/s, got m", "divide by"),
     "a sine of metres": (outputs(y=tx.Sin(x)), "Sin takes radians", "divide by"),
     "an exponent of metres": (outputs(y=tx.Exp(-x)), "Exp takes", "divide by"),
-    "a mass forgotten": (rates((x, speed), (speed, -k * x)), "the rate of 'speed' in m s-1 is in m s-2", "kg"),
+    "a mass forgotten": (rates((x, speed), (speed, -k * x)), "the rate of 'speed' in m/s is in m/s2", "kg"),
     "an angle of a speed and a length": (outputs(y=tx.Atan2(x, speed)), "Atan2 takes operands of one unit", "s"),
     "a choice between units": (outputs(y=tx.Where(x <= 2.0, x, speed)), "Where has one unit", "s"),
     "a comparison": (outputs(y=tx.Where(x <= speed, x, x)), "Inequality has one unit", "s"),
@@ -156,11 +156,15 @@ def test_what_a_leaf_leaves_open_is_inferred() -> None:
     open_force = tx.Control("F", shape=(6,))
     system = tx.System(rates={g: V, V: solve(M, open_force - BODY)})
     known = tx.compile(system).explain(kinds=True)
-    assert known.leaves["V"] == "a twist, in 'body', unit s-1"
+    assert known.leaves["V"] == "a twist, in 'body', unit 1/s"
     assert known.leaves["F"] == "a wrench or momentum, in 'body', unit open"
-    assert known.leaves["g"] == "from 'body' to 'world', unit open"
-    assert known.rates["V"] == "a twist, in 'body', unit s-2"
-    assert "F: a wrench or momentum, in 'body', unit open" in str(known)
+    assert known.leaves["g"] == "from 'body' to 'world'"
+    assert known.rates["V"] == "a twist, in 'body', unit 1/s2"
+    assert known.declared == ["g", "V", "M"]
+    assert known.open == []
+    lines = str(known).splitlines()
+    assert lines[lines.index("states") + 2] == "  V  a twist, in 'body', unit 1/s  (declared)"
+    assert lines[lines.index("controls") + 1] == "  F  a wrench or momentum, in 'body', unit open"
     with pytest.raises(tx.KindError, match="two frames meet"):
         tx.System(rates={g: V, V: solve(M, open_force - BODY)}, outputs={"y": open_force + far})
 
@@ -215,3 +219,10 @@ def test_one_leaf_of_a_name_may_leave_its_kind_open_and_two_kinds_are_refused() 
             tx.System(rates={state: -1.0 * state}, outputs={"y": used + W}, controls=[W])
     with pytest.raises(tx.ModelError, match=r"two leaves are named 'V'.*differ in kind"):
         tx.System(rates={typed: -1.0 * typed}, outputs={"y": other})
+
+
+def test_what_is_open_is_told() -> None:
+    x, y, u = tx.State("x", unit="m"), tx.State("y"), tx.Control("u")
+    known = tx.compile(tx.System(rates={x: 2.0 * x, y: u}, outputs={"z": x + 0.5})).explain(kinds=True)
+    assert known.open == ["y", "u", "rate of x", "rate of y"]
+    assert str(known).endswith("nothing is known of: y, u, rate of x, rate of y")

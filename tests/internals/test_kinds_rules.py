@@ -16,8 +16,8 @@ from twistax.expr.kinds.rules import Clash, Terms
 from twistax.expr.kinds.unit import KILOGRAM, METRE, ONE, SECOND
 from twistax.testing.nodes import Case
 
-#: Numbers of the node itself are in the unit of the operand: they would have to be changed with it.
-WITH_NUMBERS = {"Huber", "SmoothReLU", "HarmonicPull", "Meridian", "Temperature", "Pressure"}
+#: Numbers of the node itself, or a grid, are in the unit of the operand: they would have to be changed with it.
+WITH_NUMBERS = {"Huber", "SmoothReLU", "HarmonicPull", "Meridian", "Temperature", "Pressure", "Linterp", "Bilerp"}
 #: How many of the new units make an old one.
 SCALES = (1.7, 0.6, 2.3, 1.0)
 

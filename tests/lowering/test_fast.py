@@ -44,6 +44,7 @@ def test_values_are_those_of_the_function(function: Callable[..., Any]) -> None:
     close(tx.fast(function)(A, X), jax.jit(function)(A, X))
 
 
+@pytest.mark.filterwarnings("ignore:.*gains nothing")
 @every
 @pytest.mark.parametrize("backend", [tx.XLA(), tx.JAX()], ids=str)
 def test_and_so_they_are_by_other_backends(function: Callable[..., Any], backend: Any) -> None:
@@ -203,6 +204,7 @@ def test_its_own_derivative_is_kept() -> None:
     np.testing.assert_allclose(with_loop, 0.99**900 * np.ones(3), rtol=1e-10)
 
 
+@pytest.mark.filterwarnings("ignore:.*gains nothing")
 def test_what_has_no_scalar_form_runs_as_it_is() -> None:
     def noisy(x: jax.Array) -> jax.Array:
         return jax.random.normal(jax.random.key(0), (3,), x.dtype) + x

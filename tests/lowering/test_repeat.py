@@ -1,6 +1,8 @@
 """`tx.repeat`: a fleet is its copies."""
 
+import functools
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -63,6 +65,33 @@ def test_the_jacobian_has_a_block_for_each_copy() -> None:
     wanted = np.zeros((6, 6))
     wanted[:3, 3:], wanted[3:, 3:] = np.eye(3), np.diag(-2.0 * x["v"])
     np.testing.assert_allclose(got["x"], wanted, atol=1e-14)
+
+
+DENSE = tx.Parameter("M", value=np.diag(np.arange(1.0, 7.0)) + 0.1)
+HEAVY = tx.System(rates={g: V, V: tx.linalg.Solve(DENSE, F - tx.lie.AdjointDual(V, DENSE @ V))})
+
+
+def test_copies_are_a_batch_of_one_kernel() -> None:
+    pytest.importorskip("llvmlite")
+    assert tx.compile(tx.repeat(HEAVY, 2)).explain().backend == "a batch of one kernel for all copies"
+
+
+def test_values_derivatives_and_files_of_a_batch_of_copies(tmp_path: Path) -> None:
+    pytest.importorskip("llvmlite")
+    count = 40
+    fleet, one = tx.compile(tx.repeat(HEAVY, count)), tx.compile(HEAVY)
+    x, u = starts(count)
+    assert fleet.explain().backend == "a batch of one kernel for all copies"
+    wanted = of_each(lambda x, u: one(0.0, x, u)["V"], x, u)
+    np.testing.assert_allclose(fleet(0.0, x, u)["V"], wanted, rtol=1e-12, atol=1e-14)
+
+    def work(dynamics: tx.Dynamics, V: jax.Array, x: Any, u: Any) -> jax.Array:
+        return (dynamics(0.0, {"g": x["g"], "V": V}, u)["V"] ** 2).sum()
+
+    slopes = of_each(lambda x, u: jax.grad(functools.partial(work, one))(x["V"], x, u), x, u)
+    np.testing.assert_allclose(jax.grad(functools.partial(work, fleet))(x["V"], x, u), slopes, rtol=1e-9, atol=1e-11)
+    fleet.save(tmp_path / "fleet.txz")
+    np.testing.assert_allclose(tx.load(tmp_path / "fleet.txz")(0.0, x, u)["V"], wanted, rtol=1e-12, atol=1e-14)
 
 
 def test_the_program_does_not_grow_with_the_count() -> None:

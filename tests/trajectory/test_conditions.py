@@ -284,3 +284,15 @@ def test_a_guess_goes_through_what_conditions_say() -> None:
     first, second = Problem([phase, phase]).started().point.xs
     np.testing.assert_allclose(first["x"][0], [2.0, 8.0])
     np.testing.assert_allclose(second["g"][-1], there, atol=1e-12)
+
+
+@pytest.mark.parametrize("linear", [False, True])
+def test_a_state_with_equal_limits_is_refused(linear: bool) -> None:
+    """A continuous control is a state, too; one that is held may have one value."""
+    x, u = tx.State("x", shape=(2,), max=[1.0, 0.0], min=0.0), tx.Control("u", min=0.5, max=0.5)
+    if linear:
+        x = tx.State("x", shape=(2,))
+    dynamics = tx.compile(tx.System(rates={x: tx.Concat(u, 0.0 * u)}))
+    controls = tx.trajectory.Linear() if linear else None
+    with pytest.raises(tx.ModelError, match=r"'u' has equal limits" if linear else r"'x\[1\]' has equal limits"):
+        Problem(dynamics, tx.Minimize(running=u * u), nodes=3, final_time=1.0, controls=controls)

@@ -76,6 +76,10 @@ def test_parameters_and_time_limits_count(tmp_path: Path) -> None:
     expected = controller.feedback({"p": 1.2, "v": 0.3})["u"]
     assert status == 0
     assert u[0] == pytest.approx(float(expected), abs=1e-10)
+    plan, nothing = memory.copy(), pointer(np.array([np.nan]))
+    assert library.loop_feedback(pointer(memory), state[0], nothing, pointer(u), None, None, None) == 4
+    assert u[0] == pytest.approx(float(expected), abs=1e-10)
+    np.testing.assert_array_equal(memory, plan)
     calls = []
 
     def is_late(clock: Any) -> int:
@@ -95,5 +99,31 @@ def test_functions_without_a_form_in_scalars_are_refused(tmp_path: Path) -> None
     dynamics = tx.compile(tx.System(rates={p: tx.linalg.Solve(A, u)}))
     cost = tx.Minimize(running=p @ p + u @ u)
     problem = Problem(dynamics, cost, nodes=3, final_time=1.0, initial={p: np.ones(20)}, substeps=1)
-    with pytest.raises(tx.TrajectoryError, match="rate_value has no form in scalars"):
+    with pytest.raises(tx.TrajectoryError, match="rate_value has no scalar form"):
         problem.to_c(tmp_path)
+
+
+@pytest.mark.parametrize("problem", [regulator, pointing])
+def test_gains_are_those_of_python(problem: Any, tmp_path: Path) -> None:
+    controller = full(problem())
+    x = {name: values[1] for name, values in controller.xs.items()}
+    files = controller.to_c(tmp_path, name="loop")
+    target = tmp_path / "loop.so"
+    built(["-O1", "-shared", "-fPIC", str(files.source), "-lm", "-o", str(target)])
+    library, header = ctypes.CDLL(str(target)), files.header.read_text()
+    of_solve, of_gains = (np.zeros(int(n) // 8) for n in re.findall(r"(\d+) bytes", header))
+    pointers = lambda *arrays: [ctypes.c_void_p(a.ctypes.data) for a in arrays]  # noqa: E731
+    library.loop_init(*pointers(of_solve))
+    states, u = [np.ascontiguousarray(a, float) for a in x.values()], np.zeros(controller.us["u"][0].size)
+    assert library.loop_feedback(*pointers(of_solve, *states, u), None, None, None) == 0
+    controller.feedback(x)
+    expected = controller.gains["u"]
+    gains = np.zeros(expected.shape)
+    assert library.loop_gains(*pointers(of_solve, of_gains, gains)) == 0
+    np.testing.assert_allclose(gains, expected, rtol=1e-8, atol=1e-8)
+    newer = {name: values[2] for name, values in controller.xs.items()}
+    states = [np.ascontiguousarray(a, float) for a in newer.values()]
+    assert library.loop_correct(*pointers(of_solve, *states, gains, u)) == 0
+    np.testing.assert_allclose(u, np.ravel(controller.correct(newer)["u"]), atol=1e-8)
+    states[0][...] = np.nan
+    assert library.loop_correct(*pointers(of_solve, *states, gains, u)) == 4

@@ -384,12 +384,12 @@ def test_what_has_no_meaning_is_refused() -> None:
     refused("push Maximum", tx.Minimize(Maximum(u) ** 2))
     refused("push Maximum", final=[Maximum(u) == 1.0])
     refused("push Maximum", final=[Maximum(u) >= 1.0])
-    refused("only begun", initial=[Integral(u) == 1.0])
+    refused("not defined at the start", initial=[Integral(u) == 1.0])
     refused("running cost", tx.Minimize(running=Integral(u)))
-    refused("value of the whole path", at={3: Maximum(u) <= 1.0})
+    refused("functional of the whole path", at={3: Maximum(u) <= 1.0})
     refused("which the system does not have", final=[Initial(tx.State("x")) == p])
     refused("which the system does not have", final=[Integral(tx.Control("w")) == 0.0])
-    refused("no constraint or objective pushes", final=[Integral(Maximum(u)) == 0.0])
+    refused("no constraint or objective bounds", final=[Integral(Maximum(u)) == 0.0])
     with pytest.raises(ModelError, match="expects a state"):
         Initial(p + v)
     with pytest.raises(ModelError, match="condition"):

@@ -81,7 +81,16 @@ except tx.KindError as error:
 newton_metre = tx.kinds.Unit.of("N m")
 newton_metre, newton_metre == tx.kinds.Unit.of("J"), newton_metre / tx.kinds.Unit.of("s")
 
-# tx.kinds.Fixed
+# tx.kinds.declare
+R, F = tx.State("R", group=tx.SO3), tx.Control("F", (3,))
+in_body = tx.kinds.declare(R.T @ F, tx.FreeVector("body"), "N")
+in_world = tx.kinds.declare(R @ in_body, tx.FreeVector("world"))
+try:
+    tx.System(rates={R: np.zeros(3)}, outputs={"f": in_body + in_world})
+except tx.KindError as error:
+    print(error)
+
+# tx.kinds.FixedUnits
 from twistax.expr.operations.elementwise import ElementwiseFunction
 
 
@@ -89,7 +98,7 @@ class Thinning(ElementwiseFunction):
     """The density of air over that at sea level, from the height in m."""
 
     function = staticmethod(lambda h: jnp.exp(-h / 8500.0))
-    kinds = tx.kinds.Fixed(takes=(tx.kinds.Unit.of("m"),), gives=tx.kinds.Unit.of("1"))
+    kinds = tx.kinds.FixedUnits(takes=(tx.kinds.Unit.of("m"),), gives=tx.kinds.Unit.of("1"))
 
 
 speed = tx.State("speed", unit="m/s")

@@ -74,3 +74,39 @@ box = SpatialInertia(mass=2.0, center_of_mass=[0.0, 0.0, 0.0], inertia=np.diag([
 hopper = Mechanism([Link(joints.Prismatic("leg", [0.0, 0.0, 1.0]), box, np.eye(4))])
 given = mechanics.given_forces(hopper, ["leg"], friction=0.6)
 list(given.controls), list(given.cones)
+
+# tx.mechanics.inverse_dynamics_regressor tx.mechanics.Regressor
+from twistax import mechanics
+
+arm = mechanics.chain_models.equal_links(2)
+regressor = mechanics.inverse_dynamics_regressor(arm)
+regressor.matrix.shape, regressor.names[:2]
+
+# tx.mechanics.base_parameters tx.mechanics.BaseParameters
+from twistax import mechanics
+
+arm = mechanics.chain_models.equal_links(2)
+mechanics.base_parameters(arm).names[0]
+
+# tx.mechanics.identifiable_combinations
+W = np.array([[1.0, 2.0, 0.0], [2.0, 4.0, 0.0]])
+combinations = tx.mechanics.identifiable_combinations(W, ["a", "b", "c"])
+combinations.names, combinations.without_effect
+
+# tx.mechanics.physical_inertia tx.mechanics.log_cholesky
+from twistax.mechanics import SpatialInertia
+
+ten = tx.mechanics.log_cholesky(SpatialInertia(mass=2.0, inertia=np.eye(3)))
+tx.mechanics.physical_inertia(ten)
+
+# tx.mechanics.reach tx.mechanics.ReachResult tx.mechanics.ReachStatus
+arm = tx.mechanics.chain_models.equal_links(3)
+result = tx.mechanics.reach(arm, {"joint2": np.array([0.3, 0.1, 0.05])}, seeds=2)
+tx.mechanics.ReachStatus(int(result.status)), result.x["q"], result.distance
+
+# tx.mechanics.signed_distance tx.mechanics.HalfSpace
+from twistax.mechanics import HalfSpace, chain_models, signed_distance
+
+arm = chain_models.panda()
+height = signed_distance(tx.view.Sphere(0.1), HalfSpace(), arm.pose("joint7"))
+tx.lower(height)(0.0, {"q": np.zeros(7)})  # m

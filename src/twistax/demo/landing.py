@@ -42,7 +42,9 @@ def run(arguments: argparse.Namespace) -> int:
     except OSError as error:
         print(f"twistax demo: cannot write to --out {arguments.out}: {error.strerror}", file=sys.stderr)
         return 2
-    _say("body", *tumbling.draw(arguments.out), f"in {time.perf_counter() - begin:.1f} s")
+    with tx.trajectory.Progress("body", stream=sys.stdout):
+        drawn = tumbling.draw(arguments.out)
+    _say("body", *drawn, f"in {time.perf_counter() - begin:.1f} s")
     begin = time.perf_counter()
     start, vehicle = arguments.initial, scene.Lander()
     _say("start", *describe_start(start, vehicle))
@@ -63,7 +65,11 @@ def run(arguments: argparse.Namespace) -> int:
     _say("limits", *describe_limits(reached))
     violated = [*failures, *describe_failure(misses, reached, dense.ts[-1], vehicle.flight_time)]
     landed = result.status in _SIMULATED and not violated
-    _write(arguments.out / ("landing.csv" if landed else "best_try.csv"), result, dense, start, vehicle, landed)
+    table = arguments.out / ("landing.csv" if landed else "best_try.csv")
+    lap = time.perf_counter()
+    with tx.trajectory.Progress("files", stream=sys.stdout):
+        files = _written(table, result, dense, start, vehicle, landed)
+    _say("files", *files, f"in {time.perf_counter() - lap:.1f} s")
     _say("time", f"{time.perf_counter() - begin:.1f} s in all, imports aside")
     if landed:
         mass = dense.xs["m"]
@@ -135,9 +141,11 @@ def _rollouts(result: tx.trajectory.TrajectoryResult) -> tuple[dict[str, Descent
     return rollouts, failures
 
 
-def _write(table: Path, result: Any, dense: Descent, start: scene.Start, vehicle: scene.Lander, landed: bool) -> None:
-    """Write table, figure and animation, and say where; of the last two why not, where they are not written."""
-    lap, figure, animation = time.perf_counter(), table.with_suffix(".png"), table.with_suffix(".html")
+def _written(
+    table: Path, result: Any, dense: Descent, start: scene.Start, vehicle: scene.Lander, landed: bool
+) -> list[str]:
+    """The files of table, figure and animation; for the last two the reason where they are not written."""
+    figure, animation = table.with_suffix(".png"), table.with_suffix(".html")
     what = f"landed after {dense.ts[-1]:.1f} s" if landed else "no landing found, the best try"
     title = f"6-DoF powered descent: {start.height:g} m up, tilted {np.rad2deg(start.tilt):g} deg, {what}"
     save_table(table, dense)
@@ -157,7 +165,7 @@ def _write(table: Path, result: Any, dense: Descent, start: scene.Start, vehicle
         )
     except tx.ModelError:
         files[1] = "no animation: it needs viser; get it with pip install 'twistax[view]'"
-    _say("files", *files, f"in {time.perf_counter() - lap:.1f} s")
+    return files
 
 
 # ---- words -----------------------------------------------------------------------------------------------------------

@@ -13,10 +13,10 @@ from ..errors import InputError
 
 
 class Verdict(enum.Enum):
-    """What independent runs say of a covariance.
+    """The result of a consistency test of a covariance.
 
-    CONSISTENT: the errors are as large as the covariance says. OPTIMISTIC: they are larger. PESSIMISTIC: they are
-    smaller. UNDECIDED: there are too few runs to tell.
+    CONSISTENT: the errors agree with the covariance. OPTIMISTIC: they are larger. PESSIMISTIC: they are
+    smaller. UNDECIDED: the number of runs is too small.
     """
 
     CONSISTENT = "consistent"
@@ -27,18 +27,18 @@ class Verdict(enum.Enum):
 
 @dataclasses.dataclass(frozen=True)
 class Consistency:
-    """The test of normalised squared errors $e^T P^-1 e$, of mean n for an honest covariance.
+    """The test of normalised squared errors $e^T P^-1 e$, of mean n for a consistent covariance.
 
     Attributes:
         verdict: a `Verdict`.
         level: of the confidence interval and of the band.
         runs: how many independent runs there were.
-        ratio: the mean of the statistic over n; 1 for an honest covariance.
+        ratio: the mean of the statistic over n; 1 for a consistent covariance.
         interval: the confidence interval of the ratio, from the spread of the means of the runs.
         mean: (k,) the mean over the runs at each time.
-        band: where the mean lies at one time with the probability `level`: quantiles of chi-square with runs n degrees
-            of freedom, over the number of runs.
-        inside: the share of times at which it does.
+        band: the interval of the mean at a single time with the probability `level`: quantiles of chi-square with
+            runs n degrees of freedom, over the number of runs.
+        inside: the fraction of times at which the mean is in the band.
     """
 
     verdict: Verdict

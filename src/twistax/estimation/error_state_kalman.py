@@ -25,13 +25,14 @@ class ErrorStateKalman(Filter):
     """The extended Kalman filter on the group of the state, multiplicative (an MEKF) on rotations and poses.
 
     The state stays on the group; the covariance P is that of the error d with $x_true = x Exp(d)$, in the tangent space
-    at x. A prediction integrates the mean by the method and carries the covariance, $P = Phi P Phi^T + Q$, Phi the
+    at x. A prediction integrates the mean by the method and propagates the covariance, $P = Phi P Phi^T + Q$, Phi the
     derivative of the step and Q by Van Loan. An update is
 
         $S = H P H^T + R, K = P H^T S^-1, d = K Log(h(x)^-1 z),$
         $x = x Exp(d), P = J_r(d) ((I - K H) P (I - K H)^T + K R K^T) J_r(d)^T$,
 
-    in Joseph's form, symmetric. The right Jacobian J_r(d) moves the covariance to the tangent space at the new state.
+    in Joseph's form, symmetric. The right Jacobian J_r(d) transforms the covariance to the tangent space at the new
+    state.
 
     Args:
         dynamics: the compiled system, with `tx.Noise` in its rates.
@@ -41,8 +42,8 @@ class ErrorStateKalman(Filter):
         gate: a probability. A measurement is used only if its normalised innovation squared lies below that quantile of
             chi-square.
         noise: how continuous noise becomes the covariance of a step: `VanLoan()`, the default, or `Trapezoidal()`.
-        reset: (group, d) -> (n, n), what moves covariances to the new state; `group.right_jacobian(d)` if left out,
-            which is exact to first order.
+        reset: (group, d) -> (n, n), the transformation of covariances to the new state; the default is
+            `group.right_jacobian(d)`, which is exact to first order.
     Raises:
         ModelError: two measurements of one name, a state or control that the system does not have, a noise both in
             rates and in measurements, a gate outside of (0, 1), a reset that is no function of two arguments.

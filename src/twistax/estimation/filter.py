@@ -56,10 +56,10 @@ class Filter(ABC):
 
     Args:
         dynamics: the compiled system.
-        measurements: what sensors measure, `Measurement` each.
+        measurements: the models of the sensors, a `Measurement` each.
         method: of the mean; RKMK with RK4 if left out.
         max_step: the longest step of a prediction in s; one step between two times of a run if left out.
-        gate: a probability: a measurement is used only if its normalised innovation squared lies below the quantile of
+        gate: a probability: a measurement is used only if its normalised innovation squared is below that quantile of
             chi-square; all are used if left out.
         noise: how continuous noise becomes the covariance of a step: `VanLoan()`, the default, or `Trapezoidal()`.
     Raises:
@@ -149,11 +149,11 @@ class Filter(ABC):
         params: Values | None = None,
         save_at: Any = (),
     ) -> FilterRun:
-        """The estimates over records of measurements. Under jit, vmap and grad values, x0, P0, params may be traced.
+        """The estimates over records of measurements. Values, x0, P0 and params may be traced by jit, vmap and grad.
 
         Args:
-            records: by measurement a pair (times (k,), values (k, *shape)), in any order of the times. A row with a NaN
-                is a missing measurement. Times are known numbers.
+            records: for each measurement a pair (times (k,), values (k, *shape)), with the times in any order. A row
+                with a NaN is a missing measurement. Times are concrete numbers.
             x0, P0: the estimate at t0, before any measurement.
             t0: s; the first time of the records and of `save_at` if left out.
             u: controls: constants, tables such as `tx.ZeroOrderHold`, or a function of t that gives a dict. They are
@@ -162,7 +162,7 @@ class Filter(ABC):
         Raises:
             InputError, ShapeError: records, estimates or controls that do not fit the filter; a covariance P0 that is
                 not positive semidefinite.
-            EstimationError: numbers of the run are not finite or a covariance lost definiteness, unless traced.
+            EstimationError: non-finite numbers, or a covariance that is not positive semidefinite, unless traced.
         """
         stages = self.staged(records, x0, P0, t0, u, params, save_at)
         traced = self._scan(stages)

@@ -30,9 +30,9 @@ class Innovations:
         ts: (k,) times in s.
         residual: (k, m) $Log(h^-1 z)$; zero where the record is missing.
         S: (k, m, m), their covariances.
-        nis: (k,) $r^T S^-1 r$, of mean m and chi-square distribution for an honest linear filter.
-        used: (k,) whether the record was there and passed the gate.
-        present: (k,) whether it was there.
+        nis: (k,) $r^T S^-1 r$, of mean m and chi-square distribution for a consistent linear filter.
+        used: (k,) whether the record was present and passed the gate.
+        present: (k,) whether the record was present.
     """
 
     ts: jax.Array
@@ -53,7 +53,7 @@ class FilterRun:
         xs: states by name, (k, *shape), after the measurements of each time.
         P: (k, n, n), their covariances in the tangent space.
         prior_xs, prior_P: the same before the measurements.
-        transitions: (k, n, n), what carries errors from the time before.
+        transitions: (k, n, n), the transition matrices of errors from the previous time.
         information: (k, n, n) $H^T R^-1 H$ of the measurements used.
         innovations: by measurement, `Innovations`.
         log_likelihood: of all measurements used.
@@ -125,7 +125,7 @@ class FilterRun:
         return difference(self.xs, states)
 
     def nees(self, truth: Mapping[str, Any]) -> jax.Array:
-        """The normalised estimation error squared $e^T P^-1 e$, (k,); of mean n for an honest covariance.
+        """The normalised estimation error squared $e^T P^-1 e$, (k,); of mean n for a consistent covariance.
 
         Raises: InputError, ShapeError as `errors`.
         """
@@ -133,11 +133,11 @@ class FilterRun:
         return jnp.sum(errors * jnp.linalg.solve(self.P, errors[..., None])[..., 0], axis=-1)
 
     def consistency(self, truth: Mapping[str, Any], *, level: float = 0.95, tolerance: float = 0.25) -> Consistency:
-        """The verdict on the covariance from true states; UNDECIDED from one run. See `consistency`."""
+        """The verdict on the covariance, from true states; UNDECIDED for one run. See `consistency`."""
         return consistency(np.asarray(self.nees(truth)), self.group.dimension, level=level, tolerance=tolerance)
 
     def innovation_consistency(self, name: str, *, level: float = 0.95, tolerance: float = 0.25) -> Consistency:
-        """The same from the innovations of one measurement, where no truth is known.
+        """The same test with the innovations of one measurement, where the true states are unknown.
 
         Raises: InputError for an unknown measurement.
         """
@@ -155,10 +155,10 @@ class FilterRun:
         return smooth(self.ts, (self.xs, self.P), (self.prior_xs, self.prior_P, self.transitions))
 
     def observability(self, *, tolerance: float | None = None) -> Observability:
-        """The Gramian of the measurements along the run, and what they cannot tell of the state at its start.
+        """The observability Gramian of the measurements along the run, with the unobservable directions at its start.
 
-        The matrices are those at the estimates, which change with each measurement. So the rank of a filter may be
-        higher than that of the system; from the true states it is that of the system.
+        The matrices are evaluated at the estimates, which change with each measurement. So the rank of a filter may be
+        higher than that of the system; evaluated at true states it is that of the system.
 
         Args:
             tolerance: eigenvalues of the scaled Gramian below it, relative to the largest, count as zero; the round-off

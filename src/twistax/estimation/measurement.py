@@ -23,13 +23,13 @@ class Measurement:
         name: unique among the measurements of a filter.
         value: the expression h, of states, controls, parameters and `tx.Noise`.
         covariance: of v, in squares of the unit of the value, of rad for angles: a number, one for each entry of the
-            tangent, (m,), or a symmetric matrix (m, m), positive definite. Numbers, a Parameter or an expression.
+            tangent, (m,), or a symmetric positive definite matrix (m, m). Numbers, a Parameter or an expression.
         period: time between samples in s. A Noise of density S in the value has the covariance $S S^T / period$.
-        group: of the values; SO3 or SE3 where the expression is a rotation or a pose, else $R^m$.
+        group: the group of the values; SO3 or SE3 where the expression is a rotation or a pose, else $R^m$.
     Raises:
-        ShapeError: a covariance of another shape; a value that has not the shape of the group.
-        ModelError: a covariance that is not symmetric and positive definite; neither covariance nor Noise; a Noise
-            without a period; true or false as a value.
+        ShapeError: the covariance has another shape; the value does not have the shape of the group.
+        ModelError: the covariance is not symmetric positive definite; there is neither a covariance nor a Noise; a
+            Noise has no period; the value is a condition.
 
     Example: `tx.Measurement("gps", g[:3, 3], covariance=4.0)`, in m2.
 

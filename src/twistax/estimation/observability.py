@@ -10,15 +10,15 @@ import numpy as np
 
 @dataclasses.dataclass(frozen=True)
 class Observability:
-    """The observability Gramian of a run at its start, $W = sum_k Phi_k0^T H_k^T R_k^-1 H_k Phi_k0$.
+    """The observability Gramian at the start of a run, $W = sum_k Phi_k0^T H_k^T R_k^-1 H_k Phi_k0$.
 
     Its entries have units, so rank and condition are those of the Gramian scaled to a diagonal of ones.
 
     Attributes:
         gramian: (n, n).
-        rank: how many combinations of the state at the start the measurements tell.
-        condition: the largest eigenvalue of the scaled Gramian over the smallest of those that count.
-        unobservable: the combinations that they do not tell, such as "r[2]" or "b + 0.5 c", one for each missing rank.
+        rank: the number of observable combinations of the initial state.
+        condition: the largest eigenvalue of the scaled Gramian over the smallest one that is not zero.
+        unobservable: the unobservable combinations, such as "r[2]" or "b + 0.5 c", one for each missing rank.
     """
 
     gramian: np.ndarray

@@ -19,9 +19,10 @@ class UnscentedKalman(Filter):
     """The unscented Kalman filter with sigma points on the group of the state.
 
     The 2 n sigma points are $x Exp(+- n^(1/2) l_i)$, l_i the columns of a square root of P, with equal weights. Each is
-    carried by the step of the method, or by the measurement. A mean on a group is $y Exp(m)$, y the value at x and m
-    the mean of $Log(y^-1 y_i)$. No derivative of rates or measurements by the state is taken, but the noise enters
-    linearly, by Van Loan as in `ErrorStateKalman`. A linear system has the estimates of the Kalman filter.
+    propagated by the step of the method, or by the measurement. A mean on a group is $y Exp(m)$, y the value at x and m
+    the mean of $Log(y^-1 y_i)$. Rates and measurements are not differentiated with respect to the state; the noise
+    enters linearly, by Van Loan as in `ErrorStateKalman`. For a linear system the estimates are those of the Kalman
+    filter.
 
     Args:
         dynamics: the compiled system, with `tx.Noise` in its rates.
@@ -31,7 +32,7 @@ class UnscentedKalman(Filter):
         gate: a probability, as of `ErrorStateKalman`.
         noise: as of `ErrorStateKalman`.
     Raises:
-        ModelError: what `ErrorStateKalman` refuses.
+        ModelError: the same conditions as for `ErrorStateKalman`.
 
     Example: `tx.estimation.UnscentedKalman(dynamics, [gps]).run({"gps": (times, positions)}, x0, P0)`.
 

@@ -21,10 +21,10 @@ class Update(NamedTuple):
     """The estimate after a measurement.
 
     Attributes:
-        x, P: state and covariance, as they were where the measurement was not used.
+        x, P: state and covariance, unchanged where the measurement was not used.
         residual: (m,) $Log(h(x)^-1 z)$, in the tangent space of the measurement.
         S: (m, m), its covariance.
-        nis: normalised innovation squared $r^T S^-1 r$, of mean m for an honest filter.
+        nis: normalised innovation squared $r^T S^-1 r$, of mean m for a consistent filter.
         used: whether it passed the gate.
         information: (n, n) $H^T R^-1 H$, what the measurement tells of the state; not finite where R is not positive
             definite.

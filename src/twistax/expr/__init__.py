@@ -4,7 +4,7 @@ from . import lie, moved
 from .canonical import canonicalize_all
 from .examples import Example
 from .graph import evaluate_all, find_path, leaves_of, postorder, substitute, traverse
-from .kinds.inference import check_kinds, infer_kinds
+from .kinds.declare import declares
 from .leaves import Constant, Control, Inputs, Leaf, Parameter, State, Time, Variable
 from .lie.spatial import QDCM, SSM, SSMP, Quaternion, QuaternionProduct
 from .matrices.independent_rows import IndependentRows

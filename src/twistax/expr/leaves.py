@@ -36,7 +36,7 @@ class Inputs:
 
 
 class Leaf(Expr):
-    """A named value without children. Equal names, kinds and shapes mean the same leaf to `key()`."""
+    """A named value without children. Leaves with equal names, classes and shapes have equal `key()`."""
 
     name: str
     abstract = True
@@ -59,7 +59,7 @@ class Leaf(Expr):
 
     @property
     def declares(self) -> bool:
-        """Whether it says something of its kind or unit."""
+        """Whether it declares a kind or a unit."""
         return "kind" in self.__dict__ or "unit" in self.__dict__
 
     def static_key(self) -> tuple[Any, ...]:
@@ -70,7 +70,7 @@ class Leaf(Expr):
         raise NotImplementedError
 
     def check_in_system(self) -> None:
-        """Raise ModelError if it has no value in a system."""
+        """Raise ModelError if it cannot have a value in a system."""
 
     def to_text(self, *operands: str) -> str:
         return self.name
@@ -113,7 +113,7 @@ class Constant(Leaf):
 
     @property
     def whole(self) -> bool:
-        """Whether it was written as a whole number, which counts and has no unit."""
+        """Whether it was written as an integer, which is dimensionless."""
         return self.__dict__.get("_whole", False)
 
     def static_key(self) -> tuple[Any, ...]:
@@ -174,11 +174,11 @@ class Time(Leaf):
 
 
 class Variable(Bounded, Leaf):
-    """A leaf an optimiser may choose: bounds, guess and scale travel with it.
+    """A leaf that an optimiser may choose, with bounds, a guess and a scale.
 
     Attributes:
-        min, max: bounds, broadcast to the shape; None where there is none.
-        guess: one value of the leaf's shape, or a trajectory (n, *shape) of it.
+        min, max: bounds, broadcast to the shape; None for no bound.
+        guess: one value of the leaf's shape, or a trajectory (n, *shape).
         scale: typical size of a change, positive, of the tangent's shape (for a pose: (6,) or a number).
     """
 
@@ -190,24 +190,24 @@ class Variable(Bounded, Leaf):
 
 
 class State(Variable):
-    """What the system integrates: Euclidean of any shape, or an element of a Lie group.
+    """A quantity that the system integrates: Euclidean of any shape, or an element of a Lie group.
 
     The rate of a group-valued state is its left-trivialised (body) velocity: (3,) for SO3, (6,) for SE3.
 
     Args:
         name: unique among the states of a system.
-        shape: shape of the value; () if left out. A group brings its own.
+        shape: shape of the value; () by default. A group has its own.
         group: `tx.SO3`, `tx.SE3` or a group of your own; None for $R^m$.
-        order: order of the twists of a pose; `tx.LINEAR_FIRST` unless given.
+        order: order of the twists of a pose; `tx.LINEAR_FIRST` by default.
         min, max: bounds, Euclidean states only.
-        initial, final: boundary values; None (or a None entry) leaves free.
+        initial, final: boundary values; None (or a None entry) is free.
         guess, scale: see `Variable`.
-        kind: what it is and in which frames, such as `tx.Twist("body")`, for the check of a system.
+        kind: its kind and frames, such as `tx.Twist("body")`, which a system checks.
         unit: of all entries, such as "m/s" or `tx.units.metres`; of a six-vector that of its angular part.
     Raises:
-        ShapeError: a value does not fit the shape.
-        ModelError: bounds on a group, an order without a pose, a value that is not in the group, a kind of another
-            shape, no unit.
+        ShapeError: a value has another shape.
+        ModelError: bounds on a group, an order without a pose, a value that is not in the group, a kind with another
+            shape, an invalid unit.
     """
 
     group: Group
@@ -269,7 +269,7 @@ class State(Variable):
 
 
 class Control(Variable):
-    """What an engineer or an optimiser chooses at every time; Euclidean of any shape.
+    """An input that a user or an optimiser chooses at every time; Euclidean of any shape.
 
     Args:
         name: unique among the controls of a system.
@@ -307,7 +307,7 @@ class Parameter(Leaf):
     Args:
         name: unique among the parameters of a system.
         shape: shape of the value; taken from `value` if left out.
-        value: used when a call gives none. A value of `tx.units` brings its unit.
+        value: the default value. A value of `tx.units` includes its unit.
         kind, unit: see `State`.
     Raises:
         ModelError, ShapeError: a value that is not made of real numbers, or that has another shape.

@@ -62,7 +62,7 @@ else:
 class Expr(Printed, Operators):
     """Base of all expressions.
 
-    Nodes are values: they never change, hash by identity and compare by structure through `key()`.
+    Nodes are immutable. They hash by identity and compare by structure through `key()`.
     `==`, `<=` and `>=` build constraints.
     """
 
@@ -142,7 +142,7 @@ class Expr(Printed, Operators):
 
     @classmethod
     def from_fields(cls: type[E], fields: Mapping[str, Any], *, validated: bool = True) -> E:
-        """A node with these fields, without its constructor; `validated` says that they pass `validate`."""
+        """A node with these fields, without its constructor; `validated` skips `validate`."""
         node = object.__new__(cls)
         node.__dict__.update(fields)
         if not validated:
@@ -151,7 +151,7 @@ class Expr(Printed, Operators):
         return node
 
     def validate(self) -> None:
-        """Check static fields at construction; shapes are `infer_shape`'s business."""
+        """Check static fields at construction; `infer_shape` checks shapes."""
 
     def _seal(self) -> None:
         self.__dict__["_sealed"] = True
@@ -184,7 +184,7 @@ class Expr(Printed, Operators):
     def infer_shape(self, *shapes: Shape) -> Shape:
         """Shape of the result from the children's shapes; raises ShapeError."""
         if not self.takes:
-            raise NotImplementedError(f"{type(self).__name__} says neither takes and gives nor infer_shape")
+            raise NotImplementedError(f"{type(self).__name__} defines neither takes and gives nor infer_shape")
         for name, got, wanted in zip(self.child_names(), shapes, self.takes, strict=True):
             expect(self, name, got, wanted, self.takes_hint)
         return self.gives
@@ -194,26 +194,26 @@ class Expr(Printed, Operators):
         return type(self).function(*values)
 
     def eager_children(self) -> list[Expr]:
-        """The children that are evaluated in any case: all, or the first ones, and the rest are branches.
+        """The children that are always evaluated: all, or the first ones where the rest are branches.
 
-        Another expression may stand in the place of a child, from which the value is computed with less error.
+        A child may be replaced by an expression that gives the value with a smaller error.
         """
         return self.children()
 
     def evaluate_on_demand(self, values: list[jax.Array], branches: Sequence[Callable[[], jax.Array]]) -> jax.Array:
-        """Value from those of the eager children; a branch is evaluated where it is called."""
+        """Value from those of the eager children; a branch is evaluated when it is called."""
         return self.evaluate(*values)
 
     def simplify(self) -> Expr:
-        """A simpler node of the same shape, equal wherever this one is finite. Children are canonical already."""
+        """A simpler node of the same shape, equal wherever this one is finite. Children are canonical."""
         return self
 
     def twist_orders(self) -> tuple[list[Order | None], Order | None]:
-        """The twist order each operand must have, and that of the result; None where the node does not care."""
+        """The twist order each operand must have, and that of the result; None where any order is allowed."""
         return [None] * len(self.children()), None
 
     def twist_axes(self, value: Expr) -> list[int]:
-        """The axes of this node or an operand that `twist_orders` speaks of, counted from the last."""
+        """The axes of this node or an operand to which `twist_orders` applies, counted from the last."""
         return [-1 - i for i in range(value.ndim)]
 
     def shared_orders(self) -> list[list[tuple[Expr, int]]]:
@@ -234,11 +234,11 @@ class Expr(Printed, Operators):
         return None
 
     def makes_group_element(self, *operands: bool) -> bool:
-        """Whether the value is a rotation or a pose by construction, given which operands are."""
+        """Whether the value is a rotation or a pose by construction, for these operands."""
         return False
 
     def makes_boolean(self, *operands: bool) -> bool:
-        """Whether the entries are true or false, given of which operands they are."""
+        """Whether the entries are booleans, for these operands."""
         return False
 
     @classmethod
@@ -260,7 +260,7 @@ class Expr(Printed, Operators):
         return children
 
     def child_names(self) -> list[str]:
-        """Where each child sits: field names, with positions for variadic nodes."""
+        """The path of each child: field names, with positions for variadic nodes."""
         names: list[str] = []
         for field in self._fields:
             if field.variadic:
@@ -270,11 +270,11 @@ class Expr(Printed, Operators):
         return names
 
     def outline(self) -> list[tuple[str, Expr]]:
-        """The named entries that `tree()` shows below this node: its children, unless a node holds more."""
+        """The named entries that `tree()` shows below this node: its children, unless a node defines others."""
         return list(zip(self.child_names(), self.children(), strict=True))
 
     def with_children(self: E, children: list[Expr]) -> E:
-        """The same node over other children; a variadic one may get more or fewer."""
+        """The same node with other children; a variadic one may have more or fewer."""
         mine = self.children()
         if len(mine) == len(children) and all(a is b for a, b in zip(mine, children)):
             return self
@@ -294,25 +294,26 @@ class Expr(Printed, Operators):
         return tuple(freeze(getattr(self, f.name)) for f in self._fields if not (f.operand or f.variadic))
 
     def key(self) -> str:
-        """Digest of the structure: equal for equal trees, whatever objects they are made of."""
+        """Digest of the structure: equal for trees of equal structure."""
         return bottom_up(self, "_key", lambda node: digest(type(node), node.static_key(), _read(node, "_key")))
 
     def check_shape(self) -> Shape:
         """The shape of the value.
 
-        Raises: ShapeError if a shape in the tree does not fit; names the node, its place, and the way out.
+        Raises: ShapeError if a shape in the tree does not match; it names the node, its place, and the remedy.
         """
         return bottom_up(self, "_shape", lambda node: _shape_of(node, self))
 
     @property
     def shape(self) -> Shape:
         """The shape of the value; same as `check_shape()`."""
-        return self.check_shape()
+        known: Shape | None = self.__dict__.get("_shape")
+        return self.check_shape() if known is None else known
 
     @property
     def ndim(self) -> int:
         """Number of axes of the value."""
-        return len(self.check_shape())
+        return len(self.shape)
 
     @property
     def is_group_element(self) -> bool:
@@ -321,7 +322,7 @@ class Expr(Printed, Operators):
 
     @property
     def boolean(self) -> bool:
-        """Whether the entries are true or false: constraints and what is made of them."""
+        """Whether the entries are booleans, as in conditions."""
         return bottom_up(self, "_boolean", lambda node: node.makes_boolean(*_read(node, "_boolean")))
 
     def canonicalize(self) -> Expr:
@@ -347,7 +348,7 @@ def _read(node: Expr, name: str) -> list[Any]:
 
 
 def to_expr(value: Any) -> Expr:
-    """The value itself if it is an expression, else a Constant made of a number or an array.
+    """The value itself if it is an expression, else a Constant of the number or array.
 
     Raises: ModelError for anything else.
     """

@@ -15,7 +15,7 @@ from .node import Expr, Shape, to_expr
 
 
 class Noise(Leaf):
-    """White noise of mean zero, for rates and measurements. A compiled system takes it as zero.
+    """White noise of mean zero, for rates and measurements. A compiled system sets it to zero.
 
     In rates it is continuous in time: $E[w(t) w(s)^T] = S S^T delta(t - s)$, S the density. A random walk is a state
     whose rate is a Noise. In a measurement with samples every T seconds it adds the covariance $S S^T / T$.
@@ -26,7 +26,7 @@ class Noise(Leaf):
         density: amplitude spectral density in the unit of the value per sqrt(Hz): a number, one for each entry, or a
             matrix (n, n) for n entries. Numbers, a Parameter, or an expression of parameters.
     Raises:
-        ModelError: a density that is negative, not finite, or that reads states or controls.
+        ModelError: a density that is negative, not finite, or depends on states or controls.
         ShapeError: a density of another shape.
 
     Example: `tx.Noise("gyro", shape=(3,), density=1e-4)`, in rad/s per sqrt(Hz).
@@ -59,7 +59,7 @@ class Noise(Leaf):
         return (self.name, self.shape, self.density.key())
 
     def as_control(self) -> Control:
-        """A control in its place, for derivatives by the noise."""
+        """A control that replaces the noise, for derivatives with respect to it."""
         return Control(self.name, self.shape)
 
     def read(self, inputs: Inputs) -> jax.Array:

@@ -20,7 +20,6 @@ from typing import TypeAlias
 from ..errors import OrderError
 from ..groups import Order
 from .graph import find_path, postorder
-from .kinds.inference import bodies, short
 from .leaves import Constant, Leaf, State
 from .node import Expr
 
@@ -31,7 +30,7 @@ _Slot: TypeAlias = tuple[_Token, int]
 
 
 @dataclasses.dataclass(frozen=True)
-class _Place:
+class _OrderPlace:
     """The place that fixed an order: a node below a named root, or the root itself."""
 
     order: Order
@@ -50,7 +49,7 @@ class _Classes:
 
     def __init__(self) -> None:
         self._parent: dict[_Slot, _Slot] = {}
-        self._fixed: dict[_Slot, _Place] = {}
+        self._fixed: dict[_Slot, _OrderPlace] = {}
 
     def _find(self, slot: _Slot) -> _Slot:
         while self._parent.setdefault(slot, slot) != slot:
@@ -58,11 +57,11 @@ class _Classes:
             slot = self._parent[slot]
         return slot
 
-    def place_of(self, slot: _Slot) -> _Place | None:
+    def place_of(self, slot: _Slot) -> _OrderPlace | None:
         """The place that fixed the order of an axis, or None."""
         return self._fixed.get(self._find(slot))
 
-    def fix(self, slot: _Slot, place: _Place) -> None:
+    def fix(self, slot: _Slot, place: _OrderPlace) -> None:
         _agree(self._fixed.setdefault(self._find(slot), place), place)
 
     def link(self, slots: Sequence[_Slot]) -> None:
@@ -74,7 +73,7 @@ class _Classes:
                     self.fix(kept, self._fixed[gone])
 
 
-def _agree(known: _Place | None, place: _Place | None, where: str = "") -> None:
+def _agree(known: _OrderPlace | None, place: _OrderPlace | None, where: str = "") -> None:
     """Raise OrderError if two places fix different orders."""
     if known and place and known.order != place.order:
         raise OrderError(
@@ -120,7 +119,7 @@ class _Flow:
             operands, result = node.twist_orders()
             for value, order in [*zip(node.children(), operands, strict=True), (node, result)]:
                 if order is not None:
-                    self._fix(_Place(order, name, root, node, value), scope)
+                    self._fix(_OrderPlace(order, name, root, node, value), scope)
             for axes in node.shared_orders():
                 six = [(value, axis) for value, axis in axes if value.shape[axis] == _SIX]
                 self._classes.link([self._slot(scope, node, value, axis) for value, axis in six])
@@ -131,12 +130,12 @@ class _Flow:
     def read_rate(self, state: State, rate: Expr) -> None:
         """The rate of a pose has the order of its group, another state that of its rate."""
         if state.order is not None:
-            self._fix(_Place(state.order, f"the rate of the pose {state.name!r}", rate, rate, rate), _Scope())
+            self._fix(_OrderPlace(state.order, f"the rate of the pose {state.name!r}", rate, rate, rate), _Scope())
         elif state.shape == rate.shape:
             for axis in _axes(rate):
                 self._classes.link([self._slot(_Scope(), state, value, axis) for value in (state, rate)])
 
-    def _fix(self, place: _Place, scope: _Scope) -> None:
+    def _fix(self, place: _OrderPlace, scope: _Scope) -> None:
         for axis in place.node.twist_axes(place.value):
             if place.value.shape[axis] == _SIX:
                 self._classes.fix(self._slot(scope, place.node, place.value, axis), place)
@@ -193,3 +192,17 @@ def _axes(value: Expr) -> list[int]:
     """The axes of a vector (6,) or an operator (6, 6), counted from the last."""
     shape = value.shape
     return [-1 - i for i in range(len(shape))] if shape in ((_SIX,), (_SIX, _SIX)) else []
+
+
+def bodies(node: Expr) -> list[Expr]:
+    """The expressions that a node holds besides its children."""
+    if type(node).outline is Expr.outline:
+        return []
+    children = {id(child) for child in node.children()}
+    return [part for _, part in node.outline() if id(part) not in children]
+
+
+def short(value: Expr, longest: int = 60) -> str:
+    """The text of a value, cut off where it is long."""
+    text = repr(value)
+    return text if len(text) <= longest else f"{text[:longest]}..."

@@ -12,8 +12,8 @@ class Column(NamedTuple):
     """One column of a table.
 
     Attributes:
-        name: what it is called.
-        unit: its unit, "" where none is known.
+        name: its name.
+        unit: its unit, "" if unknown.
         values: (n,), a number for each saved time.
     """
 
@@ -28,7 +28,7 @@ class Column(NamedTuple):
 
 
 class Layout(ABC):
-    """Which columns a table of a solution has, in which order."""
+    """The choice and the order of the columns of a table of a solution."""
 
     @abstractmethod
     def columns(self, solution: Any) -> list[Column]:

@@ -146,7 +146,7 @@ class Group(ABC):
         """How far g is from the group: the largest absolute violation of its defining equations."""
 
     def tighten(self, g: Any) -> Any:
-        """`normalize` for round-off: cheap enough for every step, and good to the square of the drift."""
+        """A cheap `normalize` for round-off, once in every step; the remaining error is the square of the drift."""
         return self.normalize(g)
 
     def retract(self, g: Any, d: Input) -> Any:
@@ -161,7 +161,9 @@ class Group(ABC):
 
     @cached_property
     def parts(self) -> tuple[ElementPart, ...]:
-        """The parts of an element by unit, each entry of a tangent in one; one without a unit unless overridden."""
+        """The parts of an element by unit; each entry of a tangent is in one part. By default one part without a
+        unit.
+        """
         return (ElementPart("distance", ..., tuple(range(self.dimension))),)
 
     @cached_property
@@ -176,7 +178,7 @@ class Group(ABC):
 
     @property
     def sized(self) -> np.ndarray:
-        """(dimension,): which entries of a tangent are compared to the size of what they move, not to 1."""
+        """(dimension,): which entries of a tangent are compared with the size of the state, not with 1."""
         return self._where(lambda part: part.sized)
 
     def _where(self, chosen: Any) -> np.ndarray:
@@ -201,22 +203,24 @@ class Group(ABC):
         return jax.jvp(lambda d: self.retract(g, d), (jnp.zeros_like(xi),), (xi,))[1]
 
     def body_velocity(self, g: Any, rate: Any) -> Float[Array, "n"]:
-        """The xi with g hat(xi) = rate, that of least squares where the rate leaves the group."""
+        """The xi with g hat(xi) = rate; the least-squares solution where the rate is not tangent to the group."""
         zero = jnp.zeros(self.dimension, jnp.result_type(g))
         columns = jax.jacfwd(lambda d: self.retract(g, d).reshape(-1))(zero)
         return jnp.linalg.solve(multiply(columns.T, columns), multiply(columns.T, rate.reshape(-1)))
 
     def to_linear_first(self, d: Any) -> Any:
-        """A tangent, or other numbers for its entries, with the linear part first where the group has two orders."""
+        """A tangent, or numbers for its entries, with the linear part first where the group has two orders."""
         return d
 
     @property
     def twist_order(self) -> Any:
-        """The order of the entries of a tangent, of groups that have two; None for others."""
+        """The order of the entries of a tangent, for groups that have two; None for others."""
         return None
 
     def with_order(self, order: Any) -> Group:
-        """The same group with tangents in another order. Raises ModelError where it has none, and for what is none."""
+        """The same group with tangents in another order. Raises ModelError if the group or the order does not allow
+        it.
+        """
         raise ModelError(f"with_order is for poses, got the group {self.name}")
 
     def known_defect(self, g: np.ndarray) -> float:

@@ -25,7 +25,7 @@ class Product(Group):
 
     An element is a dict name -> element, a tangent one flat vector whose parts follow the order of declaration (not
     the sorted keys JAX uses for dicts). Factors may be products themselves. Two products are equal when names, groups
-    and order are. Raises InputError for a dict that lacks a name or has one too many.
+    and order are. Raises InputError for a dict with missing or unknown names.
     """
 
     _factors: tuple[tuple[str, Group], ...]
@@ -73,7 +73,7 @@ class Product(Group):
         return sum(group.dimension for _, group in self._factors)
 
     def split(self, d: Input) -> dict[str, Float[Array, "_"]]:
-        """A tangent vector taken apart: name -> (dimension of the factor,). Raises ShapeError."""
+        """The parts of a tangent vector: name -> (dimension of the factor,). Raises ShapeError."""
         (d,) = of_shape("Product.split", {"d": (self.dimension,)}, d)
         return {name: d[part] for name, part in self.slices.items()}
 

@@ -63,7 +63,7 @@ def transform(R: Array, p: Array) -> Array:
 
 
 def exp(xi: Input) -> Float[Array, "4 4"]:
-    """$Exp(xi) = [Exp(w), J_l(w) v; 0, 1]$: the pose reached from the origin by the constant body twist xi in unit
+    """$Exp(xi) = [Exp(w), J_l(w) v; 0, 1]$: the pose reached from the identity by the constant body twist xi in unit
     time.
 
     Shapes: xi = [v; w] (6,), v in any length unit, w in rad -> (4, 4). Raises ShapeError.
@@ -75,11 +75,11 @@ def exp(xi: Input) -> Float[Array, "4 4"]:
 
 
 def log(T: Input) -> Float[Array, "6"]:
-    """xi = [v; w] with $Exp(xi) = T$ and $|w| <= pi$; of the nearest pose where the rotation has drifted.
+    """xi = [v; w] with $Exp(xi) = T$ and $|w| <= pi$; for a drifted rotation, of the nearest pose.
 
     At exactly a half turn the axis whose first non-zero component is positive. Derivatives of every order are those
-    of the map on the group, finite at a half turn. Shapes: (4, 4) -> (6,). Raises ShapeError; InputError for what is no
-    pose, and is NaN for a reflection where it is traced.
+    of the map on the group, finite at a half turn. Shapes: (4, 4) -> (6,). Raises ShapeError, and InputError for a
+    matrix that is not a pose. For a traced reflection the result is NaN.
     """
     (T,) = of_shape("se3.log", {"T": (4, 4)}, T)
     return unchecked_log(element("se3.log", "T", T))
@@ -102,7 +102,7 @@ def hat(xi: Input) -> Float[Array, "4 4"]:
 
 
 def vee(X: Input) -> Float[Array, "6"]:
-    """The inverse of hat; the rotation block counts with its skew part. Shapes: (4, 4) -> (6,). Raises ShapeError."""
+    """The inverse of hat; of the rotation block the skew part is used. Shapes: (4, 4) -> (6,). Raises ShapeError."""
     (X,) = of_shape("se3.vee", {"X": (4, 4)}, X)
     return jnp.concatenate([X[:3, 3], so3.vee(X[:3, :3])])
 
@@ -120,7 +120,7 @@ def inverse(T: Input) -> Float[Array, "4 4"]:
 
 
 def between(T: Input, S: Input) -> Float[Array, "4 4"]:
-    """$T^-1 S$, with the positions subtracted first so that large common positions cost no digits.
+    """$T^-1 S$, with the positions subtracted first to avoid cancellation of large common positions.
 
     Shapes: (4, 4), (4, 4) -> (4, 4). Raises ShapeError.
     """

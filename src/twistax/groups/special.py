@@ -22,9 +22,9 @@ from twistax.groups.group import ElementPart, Group
 
 @dataclass(frozen=True, repr=False)
 class Order:
-    """How a six-vector stacks its parts: [v; w] or [w; v]. Use the two instances LINEAR_FIRST and ANGULAR_FIRST.
+    """The order of the parts of a six-vector: [v; w] or [w; v]. Use the two instances LINEAR_FIRST and ANGULAR_FIRST.
 
-    It concerns six-vectors (twists, wrenches, momenta, tangents) and 6x6 matrices, never the 4x4 pose.
+    It applies to six-vectors (twists, wrenches, momenta, tangents) and 6x6 matrices, not to the 4x4 pose.
     """
 
     linear_leads: bool
@@ -46,14 +46,16 @@ class Order:
         return jnp.concatenate([v, w] if self.linear_leads else [w, v])
 
     def from_linear_first(self, a: Input) -> Float[Array, "*shape"]:
-        """A linear-first vector (6,) or matrix (6, 6), both axes, brought into this order. Raises ShapeError."""
+        """A linear-first vector (6,) or matrix (6, 6), both axes, converted to this order. Raises ShapeError."""
         (a,) = floats(a)
         if a.shape not in ((6,), (6, 6)):
             raise ShapeError(f"Order expects a with shape (6,) or (6, 6), got {a.shape}")
         return a if self.linear_leads else jnp.roll(a, 3, axis=tuple(range(a.ndim)))
 
     def to_linear_first(self, a: Input) -> Float[Array, "*shape"]:
-        """A vector (6,) or matrix (6, 6) in this order brought to linear first. Swapping the halves undoes itself."""
+        """A vector (6,) or matrix (6, 6) in this order converted to linear first. Swapping the halves is its own
+        inverse.
+        """
         return self.from_linear_first(a)
 
 
@@ -246,15 +248,15 @@ def tangent_grad(fn: Callable[..., Any], group: Group = SE3, argnums: int = 0) -
 
     The ambient gradient of a pose is a 4x4 array with directions that leave the group; this one has the group's
     dimension: (6,) for SE3, in the order of the group, (3,) for SO3. With a Product, g is a dict and the gradient one
-    flat vector in the order of declaration (`group.split` takes it apart).
+    flat vector in the order of declaration (`group.split` splits it).
 
     Args:
-        fn: scalar function; argument number `argnums` is the element, the others pass through.
-        group: where the element lives; for the state of a compiled system `dynamics.group`.
+        fn: scalar function; argument number `argnums` is the element, the others are passed unchanged.
+        group: the group of the element; for the state of a compiled system `dynamics.group`.
     Returns:
         A function of fn's arguments. It may be jitted, mapped and differentiated again.
     Raises:
-        InputError: fn is no function, or group no group; at call time, fewer arguments than argnums needs.
+        InputError: fn is not a function, or group is not a group; at call time, fewer arguments than argnums needs.
         TypeError: from JAX, if fn is not scalar.
     """
 

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from ..errors import InputError
-from ..groups import Group, quaternions, se3, so3
-from ..groups.arrays import unpack, vector
+from ..groups.ambient import ambient_numbers
 from ..system.dynamics import Arrays, Dynamics, need_compiled
 from .controls import OfTime, controls_of
 
@@ -33,7 +32,7 @@ class AmbientSystem:
     def __init__(self, dynamics: Dynamics, quaternion: bool = True) -> None:
         need_compiled("ambient_term", dynamics)
         self.dynamics = dynamics
-        self._numbers = {name: _numbers(group, quaternion) for name, group in dynamics.group.factors.items()}
+        self._numbers = {name: ambient_numbers(group, quaternion) for name, group in dynamics.group.factors.items()}
 
     def to_ambient(self, x: Mapping[str, Any]) -> Arrays:
         """The numbers of a state. Raises InputError as a call of the dynamics does."""
@@ -51,38 +50,6 @@ class AmbientSystem:
     def rates(self, y: Mapping[str, Any], velocities: Mapping[str, Any]) -> Arrays:
         """y' of the rates that the dynamics give: body velocities of rotations and poses."""
         return {name: numbers.rate(jnp.asarray(y[name]), velocities[name]) for name, numbers in self._numbers.items()}
-
-
-class _Numbers(NamedTuple):
-    """A state as plain numbers: the map from an element to numbers, its inverse, and y' for a body velocity."""
-
-    write: Callable[[jax.Array], jax.Array]
-    read: Callable[[jax.Array], jax.Array]
-    rate: Callable[[jax.Array, jax.Array], jax.Array]
-
-
-def _numbers(group: Group, quaternion: bool) -> _Numbers:
-    if not (quaternion and group.rigid):
-        return _Numbers(_same, _same, group.entry_rate)
-    if group.dimension == 3:
-        return _Numbers(quaternions.from_rotation, quaternions.to_rotation, _turned)
-    return _Numbers(
-        lambda g: jnp.concatenate([quaternions.from_rotation(g[:3, :3]), g[:3, 3]]),
-        lambda y: se3.transform(quaternions.to_rotation(y[:4]), y[4:]),
-        lambda y, V: _moved(y, group.to_linear_first(V)),
-    )
-
-
-def _same(y: jax.Array) -> jax.Array:
-    return y
-
-
-def _turned(q: jax.Array, velocity: jax.Array) -> jax.Array:
-    return vector(quaternions.rate(unpack(q), unpack(velocity)))
-
-
-def _moved(y: jax.Array, twist: jax.Array) -> jax.Array:
-    return jnp.concatenate([_turned(y[:4], twist[3:]), so3.act(quaternions.to_rotation(y[:4]), twist[:3])])
 
 
 @jax.tree_util.register_dataclass

@@ -84,7 +84,7 @@ class ControlTable(ABC):
         return table
 
     def astype(self, dtype: Any) -> ControlTable:
-        """The same table in another precision. Raises InputError where that cannot hold it."""
+        """The same table in another precision. Raises InputError if the values do not fit."""
         if self.ts.dtype == dtype and self.values.dtype == dtype:
             return self
         for place, array in (("times", self.ts), ("values", self.values)):
@@ -103,14 +103,14 @@ class ControlTable(ABC):
 
     @property
     def jumps(self) -> Any:
-        """The times at which the value or its derivative jumps; a NumPy array if they are known."""
+        """The times at which the value or its derivative is discontinuous; a NumPy array if they are known."""
         return self.times[1:] if self.holds_on else self.times
 
     def during(self, t: jax.Array, h: jax.Array, within: bool = False) -> Callable[[jax.Array], jax.Array]:
         """The value as a function of the times within the step from t to t + h.
 
-        The table is read a hair nearer to the middle of the step: far less than a step, but more than round-off. So it
-        shows the side of a jump or a kink that the step lies on, however short the step.
+        The table is evaluated slightly nearer to the middle of the step: by much less than a step, but more than
+        round-off. So the value is that on the side of a jump or a kink on which the step lies, for any step size.
 
         Args:
             within: the step lies between two rows, which are looked up once for all of its times.
@@ -183,7 +183,7 @@ class PiecewisePolynomial(ControlTable):
     """A control that is a polynomial in time between the times of a table: from ts[i] until ts[i + 1]
     $sum_k values[i, k] (t - ts[i])^k / k!$. The last polynomial continues without end.
 
-    So values[i] holds the value at ts[i] and the derivatives to the right of it. There is no value before ts[0].
+    So values[i] contains the value at ts[i] and the right-hand derivatives. There is no value before ts[0].
 
     Args:
         ts: (n,) times in s, increasing.

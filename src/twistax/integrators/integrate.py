@@ -33,64 +33,68 @@ from .results.solution import Crossings, Dense, Solution, Stats
 
 @with_options(Options)
 def integrate(dynamics: Dynamics, x0: Mapping[str, Any], options: Options) -> Solution:
-    """Integrate a system from x0 at t0 to t1, with fixed steps or with as long ones as tolerances allow.
+    """Integrate a system from x0 at t0 to t1, with fixed steps or with steps chosen by tolerances.
 
-    Every state stays in its group, and on the manifold that the system's corrections bring it back to. The loop is
-    compiled once for the dynamics, the method and the number of saved times: another dt, t1, tolerance, start, u or
-    params does not compile again. Where something is traced (inside jit, grad, jacfwd or vmap) checks that need numbers
-    are left out: look at `Solution.result`. Derivatives of any order, forward and in reverse, with respect to x0, u,
-    params, t0, t1, save_at and the times of tables are those of the steps taken, in memory that grows with the square
-    root of their number, with save_at or dense in proportion to the number of steps there may be; with fixed steps a
-    traced t0 or t1 needs `steps` in place of `dt`. Where jumps of two tables coincide, only derivatives that move both
-    alike are right.
+    Every state stays in its group, and on the manifold to which the corrections of the system project it. The loop is
+    compiled once for the dynamics, the method and the number of saved times: another dt, t1, tolerance, initial state,
+    u or params does not recompile. Where an argument is traced (inside jit, grad, jacfwd or vmap) checks that need
+    numbers are skipped: check `Solution.result`.
+
+    Derivatives of any order, forward and reverse, with respect to x0, u, params, t0, t1, save_at and the times of
+    tables are those of the discrete steps. Their memory grows with the square root of the number of steps; with save_at
+    or dense it grows with the maximal number of steps. With fixed steps a traced t0 or t1 needs `steps` in place of
+    `dt`. Where jumps of two tables coincide, only derivatives that move both jumps equally are right.
 
     Args:
-        x0: the start, a dict by state name. Its precision is that of the whole integration.
-        t0, t1: start and end in s; with t1 < t0 it goes backward in time, and save_at falls.
+        x0: the initial state, a dict by state name. Its precision is that of the whole integration.
+        t0, t1: start and end in s; with t1 < t0 the integration is backward in time, and save_at decreases.
         dt: fixed steps: their length in s; (t1 - t0) / dt is rounded to whole steps and dt adjusted. With rtol: the
-            first step to try; chosen if left out.
+            first step size, which is estimated by default.
         steps: the number of fixed steps, instead of dt.
-        rtol, atol: steps are chosen so that the error of each is at most atol + rtol * size, as a root mean square over
+        rtol, atol: tolerances: the local error is at most atol + rtol * size, as a root mean square over
             the tangent. Rotations are measured in rad, with size 1; positions and other states in their unit, with
             their own size or the scale the state declares. atol is a number, or a dict by state name of numbers, arrays
-            of the tangent's shape, or for poses pairs (rotation, position); as rtol if left out.
-        method: an object like `RKMK(tableau)`. Left out: RKMK(RK4) with fixed steps, with tolerances
-            RKMK(DOP853, Ambient()), which the report advises.
-        control: how steps follow from errors, a `StepControl`, and how many there may be.
-        jumps: sorted times at which u, or the system itself, jumps; steps end there. Tables bring
-            their own.
-        u: the controls: a dict of arrays, which are held, or of tables (`ZeroOrderHold`, `FirstOrderHold`); or a
+            of the tangent's shape, or for poses pairs (rotation, position); the default is rtol.
+        method: an object like `RKMK(tableau)`. The default is RKMK(RK4) with fixed steps, and with tolerances
+            RKMK(DOP853, Ambient()), which the report recommends.
+        control: a `StepControl`, the step size controller and the maximal number of steps.
+        jumps: sorted times at which u, or the system itself, is discontinuous; steps end there. The times of tables are
+            included automatically.
+        u: the controls: a dict of constant arrays or of tables (`ZeroOrderHold`, `FirstOrderHold`); or a
             traceable function of t that returns the dict and is called at stage times. A function is part of the
-            compiled program: another one compiles again, and what it closes over is read when it is compiled.
-        params: parameter values; missing ones take the Parameter's own.
+            compiled program: another one recompiles, and the values of its closure are read at compile time.
+        params: parameter values; missing ones take their default.
         save_at: sorted times inside [t0, t1]. Between steps the state is one shorter step of the same method from the
-            step's start, as accurate as the method. Left out: the end alone.
-        between: with tolerances, `tx.Between.POLYNOMIAL` has saved times cost no steps: the state is on a polynomial
-            through the slopes of its step, of order 6 with DOP853, 5 with DORMAND_PRINCE8, 4 with DORMAND_PRINCE5 and
-            TSIT5, 3 with BOGACKI_SHAMPINE3, in its group. Derivatives are those of the shorter steps.
-        dense: keep the start of every step, so that `Solution.evaluate` gives the state at any time. With fixed steps
-            their number is then part of the compiled program.
+            step's start, as accurate as the method. By default the final state alone is saved.
+        between: with tolerances, `tx.Between.POLYNOMIAL` interpolates saved times without additional steps: the state
+            is on a polynomial through the stage derivatives of its step, of order 6 with DOP853, 5 with
+            DORMAND_PRINCE8, 4 with DORMAND_PRINCE5 and TSIT5, 3 with BOGACKI_SHAMPINE3, in its group. Derivatives are
+            those of the shorter steps.
+        dense: store the start of every step, so that `Solution.evaluate` returns the state at any time. With fixed
+            steps their number is then part of the compiled program.
         event: an `Event`, or a list of them: the integration ends at the first root of any condition, with
-            `Result.EVENT`, which is no failure; `Solution.event` is its number. With save_at the last row is then where
-            it ended, besides the saved times before it. Those with terminal=False do not end it: `Solution.crossings`
-            has them. Derivatives of the times and the states there are those of the implicit function theorem.
-        max_crossings: how many crossings `Solution.crossings` has room for, all events together, in the order of their
-            times. At the first without room the integration ends, with `Result.MAX_CROSSINGS`. 128 if left out.
-        throw: raise when the integration ends early. Otherwise the part before the failure is returned, with `result`.
-        progress: True for a line that shows how far it is, as `tx.trajectory.Progress` writes it; or a function called
-            with the time reached in s and the share of the way from t0 to t1, every hundredth of fixed steps, every 256
-            steps that are chosen. One other program is compiled for it; nothing is shown where something is traced.
-            Left out, a line with the seconds appears after two of them, on a terminal; False shows nothing.
+            `Result.EVENT`, which is no failure; `Solution.event` is its index. With save_at the last row is the state
+            at the event, after the saved times before it. Events with terminal=False do not end it:
+            `Solution.crossings` has them. The times and the states of events are differentiable by the implicit
+            function theorem.
+        max_crossings: capacity of `Solution.crossings` for all events together, sorted by
+            time. At the first crossing beyond it the integration ends with `Result.MAX_CROSSINGS`. 128 by default.
+        throw: raise an error when the integration fails. Otherwise the part before the failure is returned, with
+            `result`.
+        progress: True for a progress line, as `tx.trajectory.Progress` writes it; or a function that is called
+            with the time reached in s and the completed fraction of t0 to t1, every hundredth of fixed steps, every 256
+            adaptive steps. It compiles a separate program; nothing is shown where arguments are traced.
+            By default a line with the elapsed seconds appears after two seconds, on a terminal; False shows nothing.
 
     Returns:
-        `Solution(ts, xs, stats, result)`, saved times on the leading axis. Where something is traced, states that were
+        `Solution(ts, xs, stats, result)`, saved times on the leading axis. Where arguments are traced, states that were
         not reached are NaN.
 
     Raises:
-        InputError: what a call of `dynamics` raises; values that are not finite; a matrix that is no rotation; times,
-            steps or tolerances that make no sense; a quantity of `tx.units` that is not a time.
+        InputError: the errors of a call of `dynamics`; values that are not finite; a matrix that is not a rotation;
+            invalid times, steps or tolerances; a quantity of `tx.units` that is not a time.
         ModelError: a system that is not compiled; a method that cannot integrate the system, or has no error estimate.
-        IntegrationError: the integration ended early. Names the time, the state and the likely cause.
+        IntegrationError: the integration failed. Names the time, the state and the likely cause.
     """
     return integrated(dynamics, x0, options)
 

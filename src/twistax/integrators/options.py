@@ -55,7 +55,7 @@ class StepOptions:
     control: StepControl | None = None
 
     def over(self, shared: StepOptions) -> dict[str, Any]:
-        """The fields by name; those that are None are taken from `shared`."""
+        """The fields by name; fields that are None are taken from `shared`."""
         fields = [field.name for field in dataclasses.fields(StepOptions)]
         values = {name: getattr(self, name) for name in fields}
         return {name: getattr(shared, name) if value is None else value for name, value in values.items()}
@@ -280,7 +280,7 @@ def _check_start(dynamics: Dynamics, inputs: Inputs, places: Sequence[str]) -> N
         need_element(name, group, inputs.x[name])
 
 
-def need_element(name: str, group: Group, value: Any) -> None:
+def need_element(name: str, group: Group, value: Any, place: str = "x0") -> None:
     """Raise InputError for a known start of a state that is no element of its group."""
     if group.flat or is_traced(value):
         return
@@ -290,7 +290,7 @@ def need_element(name: str, group: Group, value: Any) -> None:
         tolerance = max(tolerance, 1e3 * float(jnp.finfo(value.dtype).eps))
     if defect > tolerance:
         raise InputError(
-            f"x0[{name!r}] is no element of {group.name}: off by {defect:.3g}, where {tolerance:.0e} is allowed"
+            f"{place}[{name!r}] is no element of {group.name}: off by {defect:.3g}, where {tolerance:.0e} is allowed"
             + (
                 " (the rotation's R'R - I, and the last row of a pose).\n"
                 "  fix: build poses with tx.pose(...), or take the nearest element with "

@@ -34,19 +34,19 @@ def simulator(
 ) -> Simulator:
     """Compile an integration once for many calls: `fly = tx.simulator(...)`, then `fly(x0)`, `fly(x0, params={...})`.
 
-    A call costs some tens of microseconds of Python beside the steps, where `tx.integrate`, which reads and checks all
-    of its arguments anew, costs some hundreds. It checks what it is given, and returns the same `Solution`.
+    A call takes some tens of microseconds of Python in addition to the steps; `tx.integrate`, which checks all
+    of its arguments in every call, takes some hundreds. It checks its arguments, and returns the same `Solution`.
 
     Args:
         dynamics: a compiled system.
-        x0, u, params: as for `tx.integrate`. A call may give others of the same names, shapes and kinds; what it leaves
-            out stays as it was given here. A function of time stays, and so do the times of tables.
+        x0, u, params: as for `tx.integrate`. A call may pass others of the same names, shapes and kinds; omitted
+            ones keep the values passed here. Functions of time and the times of tables are fixed.
         throw: as for `tx.integrate`.
-        options: all others that `tx.integrate` takes, but for `progress`; they stay.
+        options: all other options of `tx.integrate`, except `progress`; they are fixed.
     Returns:
         the `Simulator`.
     Raises:
-        InputError, ModelError: what `tx.integrate` raises; an option that it does not have; something traced.
+        InputError, ModelError: the errors of `tx.integrate`; an unknown option; a traced argument.
     """
     for name in options:
         if name not in _OPTIONS:
@@ -151,7 +151,7 @@ class Simulator:
             if slot is None:
                 fixed = ", and the function u stays" if kind == "u" and callable(self._options.u) else ""
                 raise InputError(
-                    f"unknown key {name!r} in {kind}; the simulator was made with: {listed(slots, name)}{fixed}"
+                    f"unknown key {name!r} in {kind}; the simulator was built with: {listed(slots, name)}{fixed}"
                 )
             if isinstance(slot.value, ControlTable) or isinstance(value, ControlTable):
                 placed[name] = self._table(f"{kind}[{name!r}]", slot.value, value)
@@ -176,7 +176,7 @@ class Simulator:
         same = type(value) is type(before) and value.values.shape == before.values.shape
         if not same or not np.array_equal(np.asarray(value.ts, before.ts.dtype), before.ts):
             raise InputError(
-                f"{place} expects what the simulator was made with, {type(before).__name__} of shape "
+                f"{place} expects what the simulator was built with, {type(before).__name__} of shape "
                 f"{np.shape(getattr(before, 'values', before))} at the same times, got {short(value)}.\n"
                 "  fix: another tx.simulator for other times"
             )

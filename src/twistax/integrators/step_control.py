@@ -43,25 +43,25 @@ class Length(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class StepControl:
-    """A PID controller of step lengths. A value; its fields have the names of diffrax's PIDController.
+    """A PID controller of the step size. Its fields have the names of diffrax's PIDController.
 
-    With e_n the error of step n in units of what is allowed and k the power of h with which it falls,
+    With e_n the error of step n relative to the tolerance, and k the power of h with which it decreases,
 
         $h_(n+1) = h_n safety e_n^(-(p + i + d)/k) e_(n-1)^((p + 2 d)/k) e_(n-2)^(-d/k)$
 
-    for a step that is taken, within the factors allowed; a step that is taken back is repeated with
+    for an accepted step, within the bounds of the factor; a rejected step is repeated with
     $h safety e_n^(-1/k)$.
 
     Attributes:
-        pcoeff, icoeff, dcoeff: p, i and d. Zero, one and zero is the plain controller.
-        safety: below 1: how far below the allowed error steps aim.
-        factormin, factormax: bounds of h_(n+1) / h_n; no growth right after a step that was taken back.
-        dtmin: an integration whose steps would have to be shorter ends; in s.
-        dtmax: no step is longer; in s.
-        max_steps: steps tried before the integration ends.
+        pcoeff, icoeff, dcoeff: p, i and d. The default (0, 1, 0) is the standard I controller.
+        safety: factor below 1 between the tolerance and the target error.
+        factormin, factormax: bounds of h_(n+1) / h_n; there is no growth after a rejected step.
+        dtmin: an integration that needs shorter steps ends; in s.
+        dtmax: the longest step; in s.
+        max_steps: the maximal number of attempted steps.
 
     Raises:
-        ModelError: a number that makes no sense.
+        ModelError: an invalid number.
         InputError: a length of time in another unit.
 
     Source: Soderlind, Digital filters in adaptive time-stepping (2003); Hairer, Norsett, Wanner, Solving Ordinary

@@ -85,17 +85,18 @@ class ButcherTableau(Coefficients):
     For $y' = f(t, y)$: $k_i = f(t + c_i h, y + h sum_j a_ij k_j)$, $y_1 = y + h sum_i b_i k_i$.
 
     Attributes:
-        name: how tables call it.
+        name: its name in tables.
         order: the order of convergence of the solution made with b.
         a: (s, s), strictly lower triangular; rows sum to c.
         b, c: (s,); b sums to 1.
         embedded_order, b_embedded: for pairs, order and weights of the solution that estimates the error, else None.
-        second_embedded_order, b_second_embedded: a second such solution, of lower order, for methods that weigh two
-            estimates against each other.
-        counted: the stages up to the last one that b counts; later ones serve the embedded solutions or the next step.
+        second_embedded_order, b_second_embedded: a second embedded solution, of lower order, for methods that combine
+            two estimates.
+        counted: the stages up to the last one with a weight in b; later ones are for the embedded solutions or the next
+            step.
 
     Raises:
-        ModelError: a wrong shape, a value that is not finite, an implicit stage, or a sum that is off.
+        ModelError: a wrong shape, a value that is not finite, an implicit stage, or a wrong sum.
 
     Source: Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I (1993), section II.1.
     """
@@ -139,7 +140,7 @@ class ButcherTableau(Coefficients):
 
     @functools.cached_property
     def to_the_end(self) -> StageRows:
-        """All stages, and as the last one the end of the step: the tableau's own where it has one, else one more."""
+        """All stages, with the end of the step as the last one: the tableau's own stage, or an additional one."""
         if self.b[-1] == 0.0 and np.array_equal(self.a[-1], self.b):
             return StageRows(self.a, self.c)
         wider = np.pad(np.vstack([self.a, self.b]), ((0, 0), (0, 1)))
@@ -152,7 +153,7 @@ class ButcherTableau(Coefficients):
 
     @functools.cached_property
     def error_order(self) -> int:
-        """The power of the step with which the estimated error of one step falls.
+        """The power of the step with which the estimated error of one step decreases.
 
         With two embedded solutions the estimate is $e1^2 / sqrt(e1^2 + e2^2 / 100)$, as in the program DOP853.
 
@@ -192,14 +193,14 @@ class CollocationTableau(Coefficients):
     nodes c, at the end of the step.
 
     Attributes:
-        name: how tables call it.
+        name: its name in tables.
         order: the order of convergence.
         a: (s, s), not singular; $sum_j a_ij c_j^(k-1) = c_i^k / k$ for k up to s.
-        b, c: (s,); $sum_i b_i c_i^(k-1) = 1 / k$ for k up to the order; c grows.
+        b, c: (s,); $sum_i b_i c_i^(k-1) = 1 / k$ for k up to the order; c increases.
 
     Raises:
-        ModelError: a wrong shape, a value that is not finite, nodes that do not grow from above 0 to at most 1, a sum
-            that is off, or an a whose inverse has two equal eigenvalues.
+        ModelError: a wrong shape, a value that is not finite, nodes that do not increase from above 0 to at most 1, a
+            wrong sum, or an a whose inverse has two equal eigenvalues.
 
     Source: Hairer, Wanner, Solving Ordinary Differential Equations II (1996), section IV.5; the conditions are C(s) and
     B(order) there.
@@ -273,18 +274,20 @@ class CollocationTableau(Coefficients):
 
     @property
     def symmetric(self) -> bool:
-        """Whether the method of the step -h is its inverse: the nodes are."""
+        """Whether the step with -h is the inverse of the step with h: the nodes are symmetric."""
         return bool(np.abs(self.c + self.c[::-1] - 1.0).max() < _TOLERANCE)
 
     @functools.cached_property
     def error_order(self) -> int:
-        """The power of the step with which the estimated error of one step falls.
+        """The power of the step with which the estimated error of one step decreases.
 
         Raises:
             ModelError: the method does not estimate its error.
         """
         if not self.stiffly_accurate:
-            raise self._error("the last stage is not the end of the step, so it cannot choose its own steps")
+            raise self._error(
+                "the last stage is not the end of the step, so the method has no error estimate for adaptive steps"
+            )
         return self.stages + 1
 
 

@@ -57,7 +57,7 @@ class Discretization:
     Attributes:
         x1: the end of the interval, by state name.
         A: (n, n), rows and columns in the order of declaration of the states.
-        B: (n, m), columns in the order of declaration of the controls, each read row by row.
+        B: (n, m), columns in the order of declaration of the controls, each in row-major order.
         h_derivative: (n,), with respect to the length of the interval; needed for a free final time.
         t_derivative: (n,), with respect to the start time; zero if the rates do not contain time.
         hessian: (N, N), N = n + m + 2, the second derivatives of weights . d1 by (d, du, dh, dt), symmetric; None
@@ -92,28 +92,28 @@ def discretize(
     substeps: int = 1,
     weights: Any = None,
 ) -> Discretization:
-    """The end of an interval of length h under held controls, and its derivatives in the tangent space.
+    """The end of an interval of length h with constant controls, and its derivatives in the tangent space.
 
     With $eta(d, u)$ the increment of an RKMK step from $x Exp(d)$, the step is $x Exp(d) Exp(eta)$ and
 
         $A = Ad(Exp(-eta)) + J_r(eta) d eta/dd, B = J_r(eta) d eta/du$,
 
-    in closed form, no logarithm; J_r is the right Jacobian. On a Euclidean part Ad and J_r are identities. Several
-    substeps multiply by the chain rule. Traceable: jit, vmap and further derivatives apply.
+    in closed form, without a logarithm; J_r is the right Jacobian. On a Euclidean part Ad and J_r are identities.
+    Several substeps are combined by the chain rule. Traceable: jit, vmap and further derivatives apply.
 
-    With weights, value, Jacobian and Hessian are one program on the graph of scalars, of any explicit method:
-    $d1 = Log(x1^-1 end)$ is differentiated as `Dynamics.hessian` does it, exponential coordinates at both ends. Other
-    weights compile nothing. What the graph does not hold, and other methods without weights, JAX differentiates.
+    With weights, value, Jacobian and Hessian are one scalar program, for any explicit method:
+    $d1 = Log(x1^-1 end)$ is differentiated as in `Dynamics.hessian`, with exponential coordinates at both ends. Other
+    weights do not recompile. JAX differentiates operations without a scalar form, and other methods without weights.
 
     Args:
-        u: the controls, held over the interval.
+        u: the controls, constant over the interval.
         h: its length in s; may be traced.
-        method: explicit; RKMK with RK4 if left out.
+        method: explicit; RKMK with RK4 by default.
         substeps: steps of the method within the interval.
         weights: (n,), multipliers of the tangent difference d1, for the Hessian.
     Raises:
         InputError: as a call of the dynamics does; weights of another shape, or not finite.
-        TrajectoryError: substeps is no positive whole number, or an implicit method.
+        TrajectoryError: substeps is not a positive whole number, or the method is implicit.
         ModelError: the system is not compiled.
     """
     need_compiled("discretize", dynamics)

@@ -65,5 +65,5 @@ def positions(place: str, wanted: Iterable[str], shapes: Mapping[str, tuple[int,
         name, chosen = entry(place, one, shapes)
         places += [starts[name] + i for i in chosen]
     if len(set(places)) < len(places):
-        raise InputError(f"{place} names something twice: {listed(wanted)}")
+        raise InputError(f"{place} has a name twice: {listed(wanted)}")
     return places

@@ -29,8 +29,8 @@ class Linearization:
     Attributes:
         rate: the rates as one tangent vector, (n,).
         A: (n, n), rows and columns in the order of declaration of the states.
-        B: (n, m), columns in the order of declaration of the controls, each read row by row.
-        C, D: (p, n), (p, m), rows the outputs that were asked for, each read row by row.
+        B: (n, m), columns in the order of declaration of the controls, each in row-major order.
+        C, D: (p, n), (p, m), rows are the requested outputs, each in row-major order.
         states, controls, outputs: names of the rows and columns, "V[3]".
     """
 
@@ -49,10 +49,10 @@ class Linearization:
         controls: Iterable[str] | None = None,
         outputs: Iterable[str] | None = None,
     ) -> Linearization:
-        """The part between these states, controls and outputs, by "V", "V[3]" or "V[3:6]"; None keeps all.
+        """The subsystem with these states, controls and outputs, by "V", "V[3]" or "V[3:6]"; None keeps all.
 
-        What is left out counts as zero. That is exact where what is kept does not depend on it, as a motion does not
-        on the place on a flat Earth.
+        Omitted states and controls are set to zero. This is exact if the remaining ones do not depend on them, for
+        example if the motion does not depend on the position over a flat Earth.
 
         Raises: InputError for an unknown name.
         """
@@ -77,7 +77,7 @@ class Linearization:
         )  # fmt: skip
 
     def modes(self) -> list[Mode]:
-        """The eigenvalues of A with their states, fastest first; of a conjugate pair the one with Im > 0.
+        """The eigenvalues of A with their eigenvectors, fastest first; of a conjugate pair the one with Im > 0.
 
         Raises: ModelError where A is not one matrix of finite numbers.
         """
@@ -86,7 +86,7 @@ class Linearization:
     def to_control(self) -> Any:
         """The same as a `control.StateSpace` of python-control, with the names of states, inputs and outputs.
 
-        Where no outputs were asked for, the states are the outputs.
+        Without requested outputs the states are the outputs.
 
         Raises: ModelError: python-control is not installed (`pip install twistax[control]`).
         """
@@ -222,5 +222,5 @@ def _kept(place: str, present: Sequence[str], wanted: Iterable[str] | None) -> l
         wanted_labels = [label for i, label in enumerate(labels({name: shapes[name]})) if i in chosen]
         kept += [present.index(label) for label in wanted_labels if label in present]
     if len(set(kept)) < len(kept):
-        raise InputError(f"{place} names something twice: {listed(wanted)}")
+        raise InputError(f"{place} has a name twice: {listed(wanted)}")
     return kept

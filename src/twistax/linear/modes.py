@@ -35,7 +35,7 @@ class Mode:
 
     @property
     def damping(self) -> float:
-        """Ratio, -Re / |eigenvalue|; negative where it grows, NaN for a zero."""
+        """Ratio, -Re / |eigenvalue|; negative for a growing mode, NaN for a zero eigenvalue."""
         return -self.eigenvalue.real / self.frequency if self.frequency else math.nan
 
     @property
@@ -45,7 +45,7 @@ class Mode:
 
     @property
     def time_constant(self) -> float:
-        """-1 / Re(eigenvalue), s: the time in which it falls to 1/e; negative where it grows, inf where neither."""
+        """-1 / Re(eigenvalue), s: the time of a decay to 1/e; negative for a growing mode, inf for a constant one."""
         return -1.0 / self.eigenvalue.real if self.eigenvalue.real else math.inf
 
     def __str__(self) -> str:

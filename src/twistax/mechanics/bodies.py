@@ -34,29 +34,30 @@ class SpatialInertia:
     use `SpatialInertia.about_origin`.
 
     Each of the three is a number, an array, or an expression. Numbers, arrays and the default values of Parameters are
-    checked to belong to a real body; what depends on states is the user's business. Points and thin rods, whose tensor
-    is only semi-definite, are bodies: they can be merged with others. Only `acceleration` refuses them.
+    checked to be physical; expressions of states are not checked. Points and thin rods, whose tensor
+    is only semi-definite, are accepted: they can be merged with others. Only `acceleration` raises an error for them.
 
-    Where centre or inertia depend on time or on states, masses move within the body. Their momentum relative to it
-    counts in all that is computed of the body: $[f; I' w + c x f]$ with $f = m (2 w x c' + c'')$ is what the body takes
-    beyond a rigid one, see `inner_motion`. Where the mass changes, mass leaves the body (or joins it), and takes its
-    momentum along: there are no such terms, and the forces of what leaves are yours, the thrust and `flight.burning`.
-    A mass that depends on time or on states changes, unless the rates of these states are known to be zero.
+    Where centre or inertia depend on time or on states, masses move within the body. Their momentum relative to the
+    body is included in all functions: $[f; I' w + c x f]$ with $f = m (2 w x c' + c'')$ is the additional wrench
+    compared with a rigid body, see `inner_motion`. Where the mass changes, mass leaves (or joins) the body with its
+    momentum. Then there are no such terms, and you apply the forces of the leaving mass: the thrust and
+    `flight.burning`. A mass that depends on time or on states changes, unless the rates of these states are known to be
+    zero.
 
     Args:
         mass: kg, ().
-        center_of_mass: m, (3,), in the frame; its origin unless given.
+        center_of_mass: m, (3,), in the frame; its origin by default.
         inertia: kg m2, (3, 3), about the centre of mass.
-        physical: False takes numbers that no body has as they are.
-        rates: of the states that mass, centre and inertia depend on, as those of a System; zero for what stays as it
-            is. A centre that moves needs the rates of its states' rates, too. `system` of a mechanism or a vehicle adds
+        physical: False accepts values that are not physical.
+        rates: of the states on which mass, centre and inertia depend, as those of a System; zero for constant
+            states. A moving centre needs the rates of its states' rates, too. `system` of a mechanism or a vehicle adds
             the rates of its further states.
-        mass_leaves: whether what changes centre and inertia is mass that leaves; None: where the mass changes.
+        mass_leaves: whether a change of centre and inertia is due to leaving mass; None: where the mass changes.
 
     Raises:
         ShapeError: a value of another shape.
         ModelError: a mass that is not positive; an entry that is not finite; a tensor that is not symmetric, has a
-            negative principal moment, or one above the sum of the other two; a mass that changes and does not leave.
+            negative principal moment, or one above the sum of the other two; a changing mass with mass_leaves=False.
     Source: Featherstone, Rigid Body Dynamics Algorithms (2008), section 2.13, for M.
     """
 
@@ -134,7 +135,7 @@ class SpatialInertia:
         return body
 
     def with_rates(self, rates: Mapping[Any, ExprLike]) -> SpatialInertia:
-        """The same body with rates of further states; rates that it already has stay.
+        """The same body with rates of further states; existing rates are unchanged.
 
         Args:
             rates: as of the constructor.
@@ -151,7 +152,7 @@ class SpatialInertia:
     def inner_motion(self) -> InnerMotion | None:
         """The effect of masses that move inside the body on its motion; None if nothing moves.
 
-        Raises: ModelError for rates that are not known, or a body that `in_frame` brought by a pose that changes.
+        Raises: ModelError for unknown rates, or a body that `in_frame` transformed by a varying pose.
         """
         for T in self.poses:
             constant("in_frame", "T", T)
@@ -170,7 +171,7 @@ class SpatialInertia:
     def momentum(self, V: ExprLike) -> Expr:
         """$[p; L]$ (6,) of a twist V (6,): $p = m (v + w x c + c')$, $L = I_c w + c x p$; N s, N m s.
 
-        It is M V, and the momentum of masses that move in the body.
+        It is M V plus the momentum of masses that move in the body.
 
         Raises: ShapeError for an argument of another shape; ModelError for rates that are not known.
         """
@@ -183,7 +184,8 @@ class SpatialInertia:
     def kinetic_energy(self, V: ExprLike) -> Expr:
         """$(m |v + w x c + c'|^2 + w . I_c w) / 2$ () of a twist V (6,), J.
 
-        What masses that move in the body have relative to their common centre is not in it: nobody knows their paths.
+        It excludes the kinetic energy of internal masses relative to their common centre, because their paths are
+        unknown.
 
         Raises: ShapeError; ModelError for rates that are not known.
         """
@@ -201,7 +203,7 @@ class SpatialInertia:
             gravity: a (3,) in world axes, m/s2.
         Raises:
             ShapeError: an argument of another shape.
-            ModelError: T is made of numbers and no pose.
+            ModelError: T is a numeric array and not a pose.
         """
         R = pose("weight", "T", T)[:3, :3]
         force = self.mass * (R.T @ of_shape("weight", "gravity", gravity, (3,), "a vector in world axes"))
@@ -211,8 +213,8 @@ class SpatialInertia:
         """$V' = M^-1 (F - ad*_V(M V))$ (6,), Newton and Euler about the centre of mass; no 6x6 matrix is built.
 
         $w' = I_c^-1 (tau - c x f - w x I_c w)$ and $v' = f/m - w x (v + w x c) - w' x c$. Where masses move in the body
-        their X is taken off F, see `inner_motion`. Where mass leaves it, F contains the thrust and all else that the
-        leaving mass exerts (Meshchersky); M is that of the mass there is.
+        their wrench X is subtracted from F, see `inner_motion`. Where mass leaves it, F includes the thrust and all
+        other forces of the leaving mass (Meshchersky); M is the instantaneous inertia.
 
         Args:
             V: the body's twist (6,).
@@ -241,12 +243,12 @@ class SpatialInertia:
     def in_frame(self, T: ExprLike) -> SpatialInertia:
         """The same body described in frame a, T = T_ab (4, 4), b the frame of this one: $M_a = Ad*_T M Ad_T^-1$.
 
-        Frame a is fixed to the body, too: where T changes with the motion, the body's matrix is that of the moment, and
-        its accelerations and forces are refused.
+        Frame a is fixed to the body, too: where T changes with the motion, the body's matrix is the instantaneous one,
+        and its accelerations and forces raise an error.
 
         Raises:
             ShapeError: T is not of shape (4, 4).
-            ModelError: T is made of numbers and no pose.
+            ModelError: T is a numeric array and not a pose.
         """
         T_ab = pose("in_frame", "T", T)
         R = T_ab[:3, :3]
@@ -261,7 +263,7 @@ class SpatialInertia:
     def merge(self, other: SpatialInertia) -> SpatialInertia:
         """The rigid union of two bodies described in one frame (see `in_frame`); also written `a + b`.
 
-        Raises: ModelError if other is no SpatialInertia.
+        Raises: ModelError if other is not a SpatialInertia.
         """
         if not isinstance(other, SpatialInertia):
             raise ModelError(f"merge expects another SpatialInertia, got {other!r}")

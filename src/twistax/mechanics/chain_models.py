@@ -21,9 +21,9 @@ __all__ = ["equal_links", "modified_dh", "panda"]
 def modified_dh(a: float, d: float, quarter_turns: int) -> NDArray[np.float64]:
     """The mount (4, 4) of a link with modified Denavit-Hartenberg parameters: Rot_x(alpha) Trans_x(a) Trans_z(d).
 
-    The joint then turns about z. alpha is quarter_turns quarter turns, so that the zeros are zeros; a and d are in m.
+    The joint then rotates about z. alpha is quarter_turns times a quarter turn, so zeros are exact; a and d are in m.
 
-    Raises: ModelError if quarter_turns is no whole number.
+    Raises: ModelError if quarter_turns is not a whole number.
 
     Source: J. Craig, Introduction to Robotics, chapter 3.
     """
@@ -39,9 +39,9 @@ def modified_dh(a: float, d: float, quarter_turns: int) -> NDArray[np.float64]:
 def panda() -> Chain:
     """The seven links of Franka's Panda, without a hand; the base's z axis points up.
 
-    Friction and the rotors of the motors are left out. Source: Franka's documentation for the frames; for the inertias
+    Friction and the rotors of the motors are omitted. Source: Franka's documentation for the frames; for the inertias
     C. Gaz and others, Dynamic Identification of the Franka Emika Panda Robot, IEEE Robotics and Automation Letters
-    (2019). The numbers and the whole titles stand in `panda.json`.
+    (2019). `panda.json` has the numbers and the full titles.
     """
     links = []
     for i, link in enumerate(json.loads(Path(__file__).with_name("panda.json").read_text())["links"], start=1):
@@ -54,11 +54,11 @@ def panda() -> Chain:
 
 
 def equal_links(count: int) -> Chain:
-    """A chain of equal rods, end to end, on hinges that are turned against each other by a quarter turn.
+    """A chain of equal rods, end to end, on hinges whose axes alternate by a quarter turn.
 
     At q = 0 it is stretched along the base's x axis. Each rod has 1 kg, 0.2 m, and a radius of 0.02 m.
 
-    Raises: ModelError if count is no positive whole number.
+    Raises: ModelError if count is not a positive whole number.
     """
     whole("equal_links: count", count, 1, ModelError)
     mass, length, radius = 1.0, 0.2, 0.02

@@ -31,7 +31,7 @@ class Drive:
 
     Attributes:
         armature: reflected inertia of the rotor, $gear^2$ times the rotor's inertia: kg m2 about an axis, kg along an
-            axis. For a planar or free joint its momentum is in the child's axes, which turn.
+            axis. For a planar or free joint its momentum is in the rotating axes of the child.
         damping: viscous friction, N m s/rad or N s/m.
         friction: dry (Coulomb) friction while sliding, N m or N. The force is smooth in the velocity and zero at rest.
         friction_speed: velocity at which dry friction reaches 76 % of that value, rad/s or m/s, positive.
@@ -44,8 +44,8 @@ class Drive:
 
         Limits are numbers. The other values are numbers or expressions; the armature must not change with the motion.
     Raises:
-        ModelError: something other than a number or scalar expression; a negative value where that means nothing;
-            bounds that exclude each other; an armature that depends on time, states or controls.
+        ModelError: a value that is not a number or a scalar expression; a negative value where it is not allowed;
+            contradictory bounds; an armature that depends on time, states or controls.
     """
 
     armature: ExprLike = 0.0

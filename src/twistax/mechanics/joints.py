@@ -5,6 +5,7 @@ Source: R. Featherstone, Rigid Body Dynamics Algorithms (2008), chapters 3 and 4
 
 from __future__ import annotations
 
+import copy
 import functools
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -12,15 +13,16 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..checks import number, reals
-from ..errors import ModelError, ShapeError
-from ..expr import Block, Concat, Constant, Expr, Norm, Parameter, Solve, Stack, State, Where
+from ..checks import number
+from ..errors import ModelError
+from ..expr import Block, Concat, Constant, Expr, Parameter, Solve, Stack, State
 from ..expr.fields import ExprLike
-from ..expr.lie import AxisRotation, Pose, SO3Exp, SO3Log, twist
+from ..expr.kinds.declare import known_as
+from ..expr.lie import AxisRotation, Pose, SO3Exp, SO3Log
 from ..expr.lie.base import unit_vector
 from ..groups import SE3, SO3, Group
 from .arguments import of_shape
-from .screws import Screws, Subspaces, complement
+from .screws import Screws, Subspaces, across, checked_actuation, checked_motion, complement, direction, kinds_of, screw
 
 # fmt: off
 __all__ = [
@@ -29,30 +31,30 @@ __all__ = [
 ]
 # fmt: on
 
-#: How far h*^T H may be from the identity.
+#: How near to one line two axes may not be.
 _ROUND_OFF = 1e-12
 
 
 class Joint(Subspaces, ABC):
-    """A joint between a parent and a child, with k freedoms and a motion subspace H that is constant in the child.
+    """A joint of k degrees of freedom between a parent and a child; its motion subspace H is constant in the child.
 
-    Subclass it to add one: call `super().__init__` with H, and write `placement`. H may be an expression (6, 1);
+    To add a joint, subclass it: call `super().__init__` with H, and define `placement`. H may be an expression (6, 1);
     then set `constraint_basis` yourself. Six-vectors are [v; w] and [f; tau].
 
     Args:
-        name: begins the names of the states, `<name>_position` and `<name>_velocity`.
+        name: the prefix of the names of the states, `<name>_position` and `<name>_velocity`.
         motion: H (6, k), or (6,) for one freedom, in the child's joint frame.
-        actuation_basis: h* (6, k) with $h*^T H = I$; $H (H^T H)^-1$ unless given. Give it where H mixes m and rad.
+        actuation_basis: h* (6, k) with $h*^T H = I$; $H (H^T H)^-1$ by default. Pass it where H mixes m and rad.
 
     Attributes:
-        name: as given.
+        name: the name of the joint.
         dofs: k, from 0 to 6.
-        position: the State of shape (k,), or on `group` where a subclass names one; None for k = 0.
+        position: the State of shape (k,), or on the `group` of a subclass; None for k = 0.
         velocity: the State of shape (k,); m/s along slides, rad/s about axes. None for k = 0.
         motion_subspace, actuation_basis, constraint_basis: H, h* and H-bar* in the child's joint frame; see `Screws`.
 
     Raises:
-        ModelError: no name; H or h* no numbers; H not finite or with dependent columns; $h*^T H$ is not I; a group of
+        ModelError: no name; H or h* not numeric; H not finite or with dependent columns; $h*^T H$ is not I; a group of
             another dimension.
         ShapeError: H or h* of another shape.
     """
@@ -63,70 +65,64 @@ class Joint(Subspaces, ABC):
     cases: ClassVar[Sequence[Mapping[str, Any]]] = ()
 
     def __init__(self, name: str, motion: Any, actuation_basis: Any = None) -> None:
-        if not isinstance(name, str) or not name:
-            raise ModelError(f"{type(self).__name__} needs a name: a non-empty string, got {name!r}")
         self.name = name
         if isinstance(motion, Expr):
             self.dofs = 1
             self.motion_subspace = self.actuation_basis = motion
         else:
             self._fix(motion, actuation_basis)
+        self._declare(name)
+
+    def _declare(self, name: str) -> None:
+        """Take a name, and the states of that name."""
+        if not isinstance(name, str) or not name:
+            raise ModelError(f"{type(self).__name__} needs a name: a non-empty string, got {name!r}")
+        self.name = name
         self.position: State | None = None
         self.velocity: State | None = None
         if self.dofs:
-            shape = (self.dofs,) if self.group is None else None
-            self.position = State(f"{name}_position", shape, group=self.group)
-            self.velocity = State(f"{name}_velocity", (self.dofs,))
+            shape, known = (self.dofs,) if self.group is None else None, kinds_of(self.motion_subspace, self.group)
+            self.position = known_as(State(f"{name}_position", shape, group=self.group), *known[0])
+            self.velocity = known_as(State(f"{name}_velocity", (self.dofs,)), *known[1])
+
+    def renamed(self, name: str) -> Joint:
+        """The same joint with another name, and with states of that name. Raises ModelError for no name."""
+        joint = copy.copy(self)
+        joint.__dict__.pop("transform", None)  # it is of the position with the old name
+        joint._declare(name)
+        return joint
+
+    def reversed(self) -> Joint:
+        """The joint from the child to the parent: its pose is $T_pc^-1$ at the same position.
+
+        On a group the position becomes its inverse.
+
+        Raises: ModelError where no joint of this kind has that pose.
+        """
+        raise ModelError(f"{self!r} cannot be reversed: {type(self).__name__} has no method `reversed`")
 
     def _fix(self, motion: Any, actuation_basis: Any) -> None:
         """Compute the subspaces, as numbers."""
-        H = self._motion(motion)
+        H = checked_motion(repr(self), motion)
         self.dofs = H.shape[1]
         if self.group is not None and self.group.dimension != self.dofs:
             raise ModelError(
                 f"{self!r} expects a group of dimension {self.dofs}, one for each column of motion, "
                 f"got {self.group.name} of dimension {self.group.dimension}"
             )
-        h = H @ np.linalg.inv(H.T @ H) if actuation_basis is None else self._actuation(actuation_basis, H)
+        h = H @ np.linalg.inv(H.T @ H) if actuation_basis is None else checked_actuation(repr(self), actuation_basis, H)
         self.motion_subspace, self.actuation_basis = Constant(H), Constant(h)
         self.constraint_basis = Constant(complement(H))
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.name!r})"
 
-    def _columns(self, name: str, value: Any) -> np.ndarray:
-        columns = reals(f"{self!r}: {name}", value, ModelError).astype(np.float64)
-        return columns[:, None] if columns.ndim == 1 else columns
-
-    def _motion(self, motion: Any) -> np.ndarray:
-        H = self._columns("motion", motion)
-        if H.ndim != 2 or H.shape[0] != 6 or H.shape[1] > 6:
-            raise ShapeError(f"{self!r} expects motion with shape (6, k), k from 0 to 6, got {np.shape(motion)}")
-        if not np.isfinite(H).all() or (H.size and np.linalg.matrix_rank(H) < H.shape[1]):
-            raise ModelError(
-                f"{self!r} expects motion with finite, independent columns, got\n{H}\n"
-                "  fix: one column for each freedom, none of them a combination of others"
-            )
-        return H
-
-    def _actuation(self, basis: Any, H: np.ndarray) -> np.ndarray:
-        h = self._columns("actuation_basis", basis)
-        if h.shape != H.shape:
-            raise ShapeError(f"{self!r} expects actuation_basis with the shape of motion, {H.shape}, got {h.shape}")
-        product = h.T @ H
-        if not np.allclose(product, np.eye(self.dofs), rtol=0.0, atol=_ROUND_OFF):
-            raise ModelError(
-                f"{self!r}: actuation_basis must give unit power on the motions, actuation_basis.T @ motion = I, got\n"
-                f"{product}\n  fix: leave actuation_basis out, or divide it by this product"
-            )
-        return h
-
     @abstractmethod
     def placement(self, position: Expr) -> Expr:
         """T_pc (4, 4) of the position, of shape (0,) without one; its rate must be $T_pc hat(H velocity)$."""
 
     def rate(self, position: Expr, velocity: Expr) -> Expr:
-        """The rate of the position: the velocity, unless a subclass says otherwise."""
+        """The rate of the position: the velocity, unless a subclass overrides it."""
         return velocity
 
     def deflection(self, position: Expr) -> Expr | None:
@@ -173,35 +169,6 @@ class Joint(Subspaces, ABC):
         return self.screws.in_frame(T)
 
 
-def _direction(owner: str, axis: Any) -> Any:
-    """A unit vector (3,): numbers, or an expression whose value, where it is known, is a direction."""
-    if not isinstance(axis, Expr):
-        return unit_vector(owner, "axis", axis)
-    a = of_shape(owner, "axis", axis, (3,))
-    if isinstance(a, Parameter) and a.value is not None:
-        unit_vector(owner, "axis", a.value)
-    return a / Norm(a)
-
-
-def _screw(linear: Any, angular: Any) -> Any:
-    """H of one freedom; numbers if both halves are numbers."""
-    if isinstance(linear, Expr) or isinstance(angular, Expr):
-        return twist(linear=linear, angular=angular)[:, None]
-    return np.concatenate([linear, angular])
-
-
-def _across(a: Expr) -> Expr:
-    """Two orthonormal vectors (3, 2) perpendicular to a unit vector.
-
-    Source: T. Duff and others, Building an Orthonormal Basis, Revisited (2017).
-    """
-    x, y, z = a[0], a[1], a[2]
-    sign = Where(z >= 0.0, 1.0, -1.0)
-    k = -1.0 / (sign + z)
-    one = Concat(1.0 + sign * x * x * k, sign * x * y * k, -sign * x)
-    return Stack(one, Concat(x * y * k, sign + y * y * k, -y)).T
-
-
 class Fixed(Joint):
     """No motion: H has shape (6, 0), $T_pc = I$, and the bearing carries every wrench. There are no states.
 
@@ -218,6 +185,9 @@ class Fixed(Joint):
     def placement(self, position: Expr) -> Expr:
         return Constant(np.eye(4))
 
+    def reversed(self) -> Fixed:
+        return self
+
 
 class Revolute(Joint):
     """Rotation about a fixed axis a through the joint's origin: $H = [0; a]$, $T_pc = [Rot(a, q), 0; 0, 1]$, q in rad.
@@ -233,15 +203,18 @@ class Revolute(Joint):
     cases = ({"axis": (0.0, 0.0, 2.0)}, {"axis": (2.0, -1.0, 2.0)}, {"axis": Parameter("axis", value=(0.0, 3.0, 4.0))})
 
     def __init__(self, name: str, axis: Any) -> None:
-        self.axis = _direction(f"Revolute {name!r}", axis)
-        super().__init__(name, motion=_screw(np.zeros(3), self.axis))
+        self.axis = direction(f"Revolute {name!r}", axis)
+        super().__init__(name, motion=screw(np.zeros(3), self.axis))
         if isinstance(self.axis, Expr):
-            self.constraint_basis = Block([[np.eye(3), np.zeros((3, 2))], [np.zeros((3, 3)), _across(self.axis)]])
+            self.constraint_basis = Block([[np.eye(3), np.zeros((3, 2))], [np.zeros((3, 3)), across(self.axis)]])
 
     def placement(self, position: Expr) -> Expr:
         known = not isinstance(self.axis, Expr)
         R = AxisRotation(position[0], self.axis) if known else SO3Exp(self.axis * position[0])
         return Pose(R, np.zeros(3))
+
+    def reversed(self) -> Revolute:
+        return Revolute(self.name, -self.axis)
 
 
 class Prismatic(Joint):
@@ -256,26 +229,29 @@ class Prismatic(Joint):
     cases = ({"axis": (2.0, -1.0, 2.0)}, {"axis": Parameter("axis", value=(0.0, 3.0, 4.0))})
 
     def __init__(self, name: str, axis: Any) -> None:
-        self.axis = _direction(f"Prismatic {name!r}", axis)
-        super().__init__(name, motion=_screw(self.axis, np.zeros(3)))
+        self.axis = direction(f"Prismatic {name!r}", axis)
+        super().__init__(name, motion=screw(self.axis, np.zeros(3)))
         if isinstance(self.axis, Expr):
-            self.constraint_basis = Block([[_across(self.axis), np.zeros((3, 3))], [np.zeros((3, 2)), np.eye(3)]])
+            self.constraint_basis = Block([[across(self.axis), np.zeros((3, 3))], [np.zeros((3, 2)), np.eye(3)]])
 
     def placement(self, position: Expr) -> Expr:
         return Pose(np.eye(3), self.axis * position[0])
+
+    def reversed(self) -> Prismatic:
+        return Prismatic(self.name, -self.axis)
 
 
 class Helical(Joint):
     """A screw: a turn about a fixed axis a with a translation along it, $H = [h a; a]$, q in rad.
 
-    The motor is a torque about the axis: h* = [0; a].
+    The motor exerts a torque about the axis: h* = [0; a].
 
     Args:
         name, axis: as for `Revolute`.
-        pitch: h in m/rad, the way along the axis for each rad; finite.
+        pitch: h in m/rad, the translation along the axis for each rad; finite.
     Raises:
         ShapeError: axis is not of shape (3,).
-        ModelError: no name; an axis that is zero or not finite; a pitch that is no finite number.
+        ModelError: no name; an axis that is zero or not finite; a pitch that is not a finite number.
     """
 
     cases = ({"axis": (2.0, -1.0, 2.0), "pitch": 0.05},)
@@ -288,6 +264,9 @@ class Helical(Joint):
 
     def placement(self, position: Expr) -> Expr:
         return Pose(AxisRotation(position[0], self.axis), (self.pitch * self.axis) * position[0])
+
+    def reversed(self) -> Helical:
+        return Helical(self.name, -self.axis, self.pitch)
 
 
 class Cylindrical(Joint):
@@ -309,11 +288,14 @@ class Cylindrical(Joint):
     def placement(self, position: Expr) -> Expr:
         return Pose(AxisRotation(position[1], self.axis), self.axis * position[0])
 
+    def reversed(self) -> Cylindrical:
+        return Cylindrical(self.name, -self.axis)
+
 
 class Planar(Joint):
     """Motion in a plane of the parent, through the origin with normal z: q = [x, y, angle], in m and rad.
 
-    The velocity is [v_x, v_y, w] in the CHILD's axes, where H is constant: x' and y' are v_x and v_y turned by the
+    The velocity is [v_x, v_y, w] in the CHILD's axes, where H is constant: [x', y'] is [v_x, v_y] rotated by the
     angle. Mount the joint with z along the normal of the plane.
 
     Args:
@@ -357,12 +339,16 @@ class Spherical(Joint):
         return Pose(position, np.zeros(3))
 
     def deflection(self, position: Expr) -> Expr:
-        """Log R, in rad: the spring turns back along the shortest way."""
+        """Log R, in rad: the shortest rotation from the rest position."""
         return SO3Log(position)
+
+    def reversed(self) -> Spherical:
+        return Spherical(self.name)
 
 
 class Free(Joint):
-    """A joint with six freedoms: $H = I$; the position is T_pc on SE(3), the velocity the body twist [v; w] (6,).
+    """A joint with six degrees of freedom: $H = I$; the position is T_pc on SE(3), the velocity the body twist [v; w]
+    (6,).
 
     There are no constraint wrenches: H-bar* has shape (6, 0).
 
@@ -380,18 +366,21 @@ class Free(Joint):
     def placement(self, position: Expr) -> Expr:
         return position
 
+    def reversed(self) -> Free:
+        return Free(self.name)
+
 
 def universal(name: str, first: Any, second: Any) -> tuple[Revolute, Revolute]:
-    """A universal joint, two turns in a row: about an axis of the parent, then about one of the child.
+    """A universal joint: a rotation about an axis of the parent, then one about an axis of the child.
 
-    Its H changes in its own child frame, so it is two joints, `<name>_1` and `<name>_2`. Put a link without a body and
-    with an identity mount between them.
+    Its H varies in its child frame, so it is modelled as two joints, `<name>_1` and `<name>_2`. Put a link without a
+    body and with an identity mount between them.
 
     Args:
-        name: begins the names of both.
+        name: the prefix of both names.
         first, second: their axes (3,), the same in both frames when both angles are zero.
     Raises:
-        ShapeError, ModelError: as for `Revolute`; axes along one line.
+        ShapeError, ModelError: as for `Revolute`; parallel axes.
     """
     joints = Revolute(f"{name}_1", first), Revolute(f"{name}_2", second)
     if np.linalg.norm(np.cross(joints[0].axis, joints[1].axis)) < _ROUND_OFF:

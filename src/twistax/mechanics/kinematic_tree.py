@@ -12,10 +12,15 @@ from ..checks import listed, short
 from ..errors import ModelError
 from ..expr import Constant, Control, Expr, State
 from ..expr.fields import ExprLike
+from ..expr.kinds.declare import known_as
+from ..expr.kinds.kinds import Pose, Twist
+from ..expr.kinds.unit import JOULE, SECOND, Unit
 from ..expr.lie import AdjointAction, Compose, Inverse
+from ..expr.operations.arithmetic import is_identity
 from .arguments import of_shape
 from .bodies import SpatialInertia
 from .loops import Loop, Metric, check_loops
+from .screws import element_kind, unit_of
 from .tree import Frame, Link, Segment, segments_of, shapes_of, sorted_links
 
 if TYPE_CHECKING:
@@ -58,9 +63,9 @@ class KinematicTree:
         self.dofs = 1 + max((max(s.freedoms, default=-1) for s in self.segments), default=-1)
         self.loops, self.loop_metric = tuple(loops), loop_metric
         driven = None if driven is None else tuple(driven)
-        #: What `replace` gives the constructor again, beside the links.
-        self._arguments: dict[str, Any] = {"gravity": self.gravity, "base": base, "keep": keep, "notes": self._notes}
-        self._arguments |= {"driven": driven, "loops": self.loops, "loop_metric": loop_metric, "shapes": self.shapes}
+        #: The arguments of the constructor beside the links, which `replace` gives it again.
+        self.arguments: dict[str, Any] = {"gravity": self.gravity, "base": base, "keep": keep, "notes": self._notes}
+        self.arguments |= {"driven": driven, "loops": self.loops, "loop_metric": loop_metric, "shapes": self.shapes}
         if driven is None:
             driven = [s.link.joint.name for s in self.segments if s.moves_by_motor]
         self.driven = tuple(driven)
@@ -84,14 +89,14 @@ class KinematicTree:
 
     @functools.cached_property
     def bodies(self) -> dict[int, SpatialInertia]:
-        """The body of every segment that has mass, with all that is fixed to it, by the index of the segment."""
+        """The body of every segment that has mass, merged with all fixed links, by the index of the segment."""
         return {i: segment.body for i, segment in enumerate(self.segments) if segment.body is not None}
 
     # ---- coordinates -------------------------------------------------------------------------------------------------
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """The names of the joints that move, in the order of the velocities; followers have their leader's entries."""
+        """The names of the moving joints, in the order of the velocities; mimic joints share their leader's entries."""
         return tuple(segment.link.joint.name for segment in self.segments)
 
     @functools.cached_property
@@ -106,24 +111,41 @@ class KinematicTree:
     @functools.cached_property
     def q(self) -> Any:
         """The position vector "q" as a State with the limits of the joints; a mapping where joints are on groups."""
-        elements: dict[str, Any] = {name: segment.link.joint.position for name, segment in self._grouped.items()}
+        elements: dict[str, Any] = {name: self._element(segment) for name, segment in self._grouped.items()}
         if not self._width:
             return elements
         low, high = self._bounds(lambda drive: (drive.lower, drive.upper), by_freedom=False)
-        q = State("q", (self._width,), min=low, max=high)
+        q = known_as(State("q", (self._width,), min=low, max=high), unit=self._unit(grouped=False))
         return {"q": q, **elements} if elements else q
 
     @functools.cached_property
     def qd(self) -> State:
         """The velocities "qd" (n,) as a State, with the limits of the joints."""
         low, high = self._bounds(lambda d: (None if d.speed is None else -d.speed, d.speed), by_freedom=True)
-        return State("qd", (self.dofs,), min=low, max=high)
+        unit = self._unit()
+        return known_as(State("qd", (self.dofs,), min=low, max=high), unit=None if unit is None else unit / SECOND)
 
     def motors(self, joints: Collection[str]) -> Control:
-        """The forces "tau" of the motors of some joints as a Control, with their limits; in the joints' order."""
+        """The forces "tau" of the motors of some joints as a Control, with their limits, in the order of the joints."""
         at = self.freedoms(joints)
         low, high = self._bounds(lambda drive: drive.efforts, by_freedom=True)
-        return Control("tau", (len(at),), min=None if low is None else low[at], max=None if high is None else high[at])
+        unit = self._unit()
+        tau = Control("tau", (len(at),), min=None if low is None else low[at], max=None if high is None else high[at])
+        return known_as(tau, unit=None if unit is None else JOULE / unit)
+
+    def _unit(self, grouped: bool = True) -> Unit | None:
+        """The unit of all coordinates, with those of joints on groups; None where they differ."""
+        segments = [s for s in self.segments if s.freedoms and s.link.mimic is None]
+        joints = [s.link.joint for s in segments if grouped or s.link.joint.group is None]
+        units = {unit_of(joint.motion_subspace) for joint in joints}
+        return units.pop() if len(units) == 1 else None
+
+    def _element(self, segment: Segment) -> Any:
+        """The position of a joint on a group, between the frames that it connects where these are named."""
+        joint, before = segment.link.joint, self.base if segment.before < 0 else self.segments[segment.before].link.name
+        to = before if is_identity(segment.link.mount) else ""
+        place, kind = joint.position, element_kind(joint.group, to, segment.link.name)
+        return place if kind is None or place is None else known_as(place, kind)
 
     def _bounds(self, limits: Any, *, by_freedom: bool) -> tuple[np.ndarray | None, np.ndarray | None]:
         """The limits of all leaders in one vector each; None where no joint has one."""
@@ -139,7 +161,7 @@ class KinematicTree:
         return (low if np.isfinite(low).any() else None), (high if np.isfinite(high).any() else None)
 
     def freedoms(self, joints: Collection[str]) -> list[int]:
-        """The entries of the velocities that belong to the joints named, each once. Raises ModelError."""
+        """The indices of the velocities of these joints, each index once. Raises ModelError."""
         entries: list[int] = []
         for name in [joints] if isinstance(joints, str) else joints:
             entries += [i for i in self.segment_of(name).freedoms if i not in entries]
@@ -156,7 +178,7 @@ class KinematicTree:
         )
 
     def coordinates(self, owner: str, name: str, value: ExprLike | None) -> Expr:
-        """The argument `name` of `owner`, one entry a freedom (n,); qd itself where None. Raises ShapeError."""
+        """The argument `name` of `owner`, one entry for each freedom (n,); qd itself for None. Raises ShapeError."""
         hint = "one entry for each freedom; of a chain one entry for each link, from base to tip"
         return self.qd if value is None else of_shape(owner, name, value, (self.dofs,), hint)
 
@@ -165,7 +187,7 @@ class KinematicTree:
 
         Raises:
             ShapeError: a vector of another length, an element of another shape.
-            ModelError: elements of joints on groups that are missing, or others that are not known.
+            ModelError: missing or unknown elements of joints on groups.
         """
         places: Any = self.q if q is None else q
         if not isinstance(places, Mapping):
@@ -204,15 +226,28 @@ class KinematicTree:
 
     def frame(self, name: str) -> Frame:
         """A frame by the name of its link, or of the joint that carries the link. Raises ModelError."""
+        return self.frames[self.frame_name(name)]
+
+    def frame_name(self, name: str) -> str:
+        """The name of a frame by that of its link, or of the joint that carries the link. Raises ModelError."""
         if name in self.frames:
-            return self.frames[name]
+            return name
         for link in self.links:
             if link.joint.name == name:
-                return self.frames[link.name]
+                return link.name
         raise ModelError(f"there is no frame {short(name)}; known are {listed(self.frames, name)}")
 
+    def link(self, name: str) -> Link:
+        """A link as it stands in the tree, by its name or that of its joint. Raises ModelError."""
+        for of in (lambda link: link.name, lambda link: link.joint.name):
+            for link in self.links:
+                if of(link) == name:
+                    return link
+        names = [link.name for link in self.links]
+        raise ModelError(f"there is no link {short(name)}; known are {listed(names, name)}")
+
     def transforms(self, q: Positions | None = None) -> list[Expr]:
-        """T (4, 4) of each segment in the segment before, or in the base. Raises ShapeError."""
+        """T (4, 4) of each segment in its parent segment, or in the base. Raises ShapeError."""
         places = self.positions(f"{type(self).__name__}.transforms", q)
         return [segment.link.transform(place) for segment, place in zip(self.segments, places, strict=True)]
 
@@ -236,11 +271,14 @@ class KinematicTree:
         """T (4, 4): maps coordinates of a frame to those of the base, or of another frame. Raises ModelError."""
         at = self.frame(frame)
         T = at.T if at.segment < 0 else Compose(self.poses(q)[at.segment], at.T)
-        return T if relative_to is None else Compose(Inverse(self.pose(relative_to, q)), T)
+        T = T if relative_to is None else Compose(Inverse(self.pose(relative_to, q)), T)
+        to = self.base if relative_to is None else self.frame_name(relative_to)
+        return known_as(T, Pose(to, self.frame_name(frame)))
 
     def twist(self, frame: str, q: Positions | None = None, qd: ExprLike | None = None) -> Expr:
-        """The body twist (6,) of a frame: its velocity seen from the base, in its own axes. Raises ModelError."""
+        """The body twist (6,) of a frame: its velocity relative to the base, in its own axes. Raises ModelError."""
         at = self.frame(frame)
         if at.segment < 0:
             return Constant(np.zeros(6))
-        return AdjointAction(at.T, self.twists(q, qd)[at.segment], inverse=True)
+        V = AdjointAction(at.T, self.twists(q, qd)[at.segment], inverse=True)
+        return known_as(V, Twist(self.frame_name(frame)))

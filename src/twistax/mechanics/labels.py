@@ -8,6 +8,7 @@ import numpy as np
 
 from ..expr import Constant, State
 from .kinematic_tree import KinematicTree
+from .screws import turns_of
 from .tree import Segment
 
 Labels = dict[str, list[tuple[str, str]]]
@@ -36,10 +37,10 @@ def labels_of(mechanism: KinematicTree, driven: Sequence[int]) -> Labels:
 
 def _of_joint(segment: Segment) -> list[tuple[str, str]]:
     joint = segment.link.joint
-    if not isinstance(joint.motion_subspace, Constant):
+    turns = turns_of(joint.motion_subspace)
+    if turns is None or not isinstance(joint.motion_subspace, Constant):
         return [(joint.name, "SI")]
     H = np.asarray(joint.motion_subspace.value)
-    turns = [bool(np.any(column[3:])) for column in H.T]
     if joint.dofs == 1:
         return [(joint.name, "rad" if turns[0] else "m")]
     axes = ["xyz"[int(np.argmax(np.abs(column[3:] if turn else column[:3])))] for column, turn in zip(H.T, turns)]

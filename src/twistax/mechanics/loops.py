@@ -36,16 +36,16 @@ __getattr__ = earlier_classes(__name__)
 class Metric:
     """The norm in which closure rows and constraint wrenches are compared, to find redundant closures.
 
-    A length l makes units equal: a rotation counts as l times its angle, a translation as its distance, and a moment
+    A length l combines units: a rotation counts as l times its angle, a translation as its distance, and a moment
     tau as a force tau / l. A closure row is independent if its distance from the span of the others exceeds `tolerance`
-    times the longest row; the longest row counts as at least one, the row of a joint that moves alone. Redundant rows
-    do not change the motion. Constraint wrenches are the smallest that give the motion: the least sum of
-    $|f|^2 + |tau / l|^2$ over all closures. Masses do not enter, so links may be arbitrarily light.
+    times the longest row; the longest row counts as at least one, which is the row of a joint that moves alone.
+    Redundant rows do not change the motion. Constraint wrenches are the smallest that give the motion: the least sum of
+    $|f|^2 + |tau / l|^2$ over all closures. The norm does not depend on masses, so links may be arbitrarily light.
 
     Attributes:
         length: l (), m; None for the mean distance between successive joints (for joints on the base, from the first of
-            them). Set it for closures of mechanisms that are much smaller than that.
-        tolerance: (), between 0 and 1. Choose it above the rounding of the angles of the model's axes. In single
+            them). Set it for loops that are much smaller than that.
+        tolerance: (), between 0 and 1. Choose it above the round-off of the angles of the model's axes. In single
             precision it is at least 2e-3.
     Raises: ModelError for a length that is not positive, or a tolerance out of its range.
     """
@@ -60,7 +60,7 @@ class Metric:
 
 
 class Loop(ABC):
-    """A loop closure: a bearing between two frames of a mechanism, beyond its tree.
+    """A loop closure: a constraint between two frames of a mechanism that closes a loop of its tree.
 
     Args:
         name: of the closure, unique within the mechanism.

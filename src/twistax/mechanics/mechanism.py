@@ -17,10 +17,13 @@ from ..expr.transformations.rate import rates_by_name
 from ..system import System
 from .algorithms.closed_loops import redundant_rows
 from .algorithms.momentum import kinetic_energy, potential_energy, spring_energy
+from .bodies import SpatialInertia
 from .drives import Drive
+from .editing import edits
+from .editing.reroot import rerooted
 from .kinematic_tree import KinematicTree, Positions
 from .links_in_view import links_in_view
-from .mechanism_system import system_of
+from .mechanism_system import inverse_system_of, system_of
 from .tree import Link
 
 if TYPE_CHECKING:
@@ -28,10 +31,10 @@ if TYPE_CHECKING:
 
 
 class Mechanism(KinematicTree):
-    """Bodies on joints, in the shape of a tree, on a base at rest under uniform gravity.
+    """Bodies on joints, as a kinematic tree, on a base at rest under uniform gravity.
 
-    A floating base is a link on a `Free` joint. Links on `Fixed` joints are merged with what they sit on; their frames
-    stay.
+    A floating base is a link on a `Free` joint. Links on `Fixed` joints are merged with their parents; their frames
+    remain available.
 
     **Velocities** are one vector qd (n,), the freedoms of the joints in the order of `joints`: m/s along slides, rad/s
     about axes, w of a ball, the body twist [v; w] of a free joint. **Positions** are one vector q with the coordinates
@@ -42,22 +45,22 @@ class Mechanism(KinematicTree):
         links: one or more, in any order; see `Link`.
         gravity: (3,) in the base's axes, m/s2; numbers or an expression.
         base: name of the base's frame.
-        keep: names of `Fixed` joints that are not merged, so that the wrench they carry can be asked for.
-        notes: what else there is to say about the model, such as what a file has and nobody uses.
+        keep: names of `Fixed` joints that are not merged, so that their joint wrenches are available.
+        notes: remarks on the model, such as elements of a file that are not used.
         loops: closures of frames beyond the tree, see `loops`; they act in `forward_dynamics` and in `system`.
-        loop_metric: how rows of loops are compared: which say what others say, and which wrenches are the shortest.
-        driven: names of the joints that motors drive. Unless given all but free ones, followers, and those whose drive
+        loop_metric: the norm of closure rows, which determines redundant rows and the smallest constraint wrenches.
+        driven: names of the joints with motors. By default all but free and mimic joints, and those whose drive
             has a spring and no effort: passive joints.
-        shapes: what the base looks like in its frame, for `solution.show`; what else stands still, such as a table.
+        shapes: shapes of the base in its frame, for `solution.show`, and of fixed objects, such as a table.
     Attributes:
-        links, gravity, driven, loops, loop_metric, base, shapes: as given, the links each after its parent; gravity as
-            an expression.
-        segments: what is left after merging; see `Segment`.
-        frames: the names of all frames, with the segment each is fixed to.
+        links, gravity, driven, loops, loop_metric, base, shapes: the arguments, with each link after its parent and
+            gravity as an expression.
+        segments: the links after merging; see `Segment`.
+        frames: the names of all frames, with the segment of each.
         dofs: n.
-        q, qd: the states of `system`, and what functions take unless other positions and velocities are given.
+        q, qd: the states of `system`, and the default positions and velocities of functions.
     Raises:
-        ModelError: links that are no tree; see `sorted_links` and `segments_of`.
+        ModelError: links that are not a tree; see `sorted_links` and `segments_of`.
         ShapeError: gravity is not of shape (3,).
     """
 
@@ -68,7 +71,7 @@ class Mechanism(KinematicTree):
 
     @functools.cached_property
     def notes(self) -> tuple[str, ...]:
-        """Remarks on the model, for example what a file has that is not used."""
+        """Remarks on the model, for example elements of a file that are not used."""
         if not self.redundant_closures:
             return self._notes
         rows = sum(loop.rows for loop in self.loops)
@@ -80,15 +83,15 @@ class Mechanism(KinematicTree):
     def replace(self, *, drives: Mapping[str, Drive] | None = None, **changes: Any) -> Mechanism:
         """A copy with other drives, or with some of the constructor's arguments changed.
 
-        `arm.replace(drives={"elbow": Drive(stiffness=5.0)})` puts a spring into a joint of an arm from a file.
+        `arm.replace(drives={"elbow": Drive(stiffness=5.0)})` adds a spring to a joint of an arm from a file.
 
         Args:
-            drives: by joint, each in place of the whole drive that its link has.
-            changes: arguments of `Mechanism`; what is not named stays.
-        Raises: ModelError for a joint or an argument that is not known; as the constructor.
+            drives: by joint; each replaces the whole drive of its link.
+            changes: arguments of `Mechanism`; others are unchanged.
+        Raises: ModelError for an unknown joint or argument, and the errors of the constructor.
         """
-        for name in changes.keys() - {"links", *self._arguments}:
-            known = ["drives", "links", *self._arguments]
+        for name in changes.keys() - {"links", *self.arguments}:
+            known = ["drives", "links", *self.arguments]
             raise ModelError(f"Mechanism.replace has no argument {name!r}; it takes: {listed(known, name)}")
         if drives and "links" in changes:  # they go into the new ones
             return self.replace(**changes).replace(drives=drives)
@@ -97,7 +100,129 @@ class Mechanism(KinematicTree):
             if name not in joints:
                 raise ModelError(f"Mechanism.replace: there is no joint {name!r}; there are: {listed(joints, name)}")
             joints[name] = dataclasses.replace(joints[name], drive=drive)
-        return Mechanism(**{"links": joints.values(), **self._arguments, **changes})
+        return Mechanism(**{"links": joints.values(), **self.arguments, **changes})
+
+    def lock(self, positions: Mapping[str, ExprLike]) -> Mechanism:
+        """A copy in which joints are fixed at positions, and with them the joints that follow them.
+
+        Each becomes a `Fixed` joint of the same name, and what it carries is merged with what it sits on. Its frame
+        stays; its motor, friction, spring and rotor do not act any more.
+
+        Args:
+            positions: by joint: a number in rad or m, (k,) for several coordinates, a rotation (3, 3) or a pose (4, 4)
+                for joints on groups. Outside of limits is noted. Expressions of Parameters lock at what is chosen.
+        Raises:
+            ModelError: a joint that is not known, does not move, or follows another; a position that is not finite or
+                not on the group, or changes with the motion; a closure between frames that become one body.
+            ShapeError: a position of another shape.
+
+        Example:
+            `arm.lock({"finger": 0.02})`
+        """
+        return self.replace(**edits.locked(self, positions))
+
+    def attach(self, other: Mechanism, frame: str | None = None, pose: ExprLike | None = None) -> Mechanism:
+        """A copy that carries another mechanism: its base sits at a pose in a frame of this one.
+
+        The base of the other becomes a link of its name. Closures, motors, followers and shapes of both stay, gravity
+        is that of this mechanism. On the base, it makes one mechanism of two robots.
+
+        Args:
+            other: the mechanism that is attached, such as a gripper.
+            frame: of this mechanism; its base unless given.
+            pose: T (4, 4) of the other's base in the frame; the identity unless given. It must not change with the
+                motion.
+        Raises:
+            ModelError: a frame that is not known; names that both have (see `renamed`); different loop metrics; numbers
+                that are no pose.
+            ShapeError: pose is not of shape (4, 4).
+
+        Example:
+            `arm.attach(gripper.renamed("left_"), "flange", tx.pose(position=[0.0, 0.0, 0.1]))`
+        """
+        return self.replace(**edits.attached(self, other, frame, pose))
+
+    def without(self, *names: str) -> Mechanism:
+        """A copy without some links and all that they carry. Closures within the removed part go with it.
+
+        Args:
+            names: of links, or of the joints that carry them.
+        Raises: ModelError for a link that is not known, a joint that follows a removed one, a closure between a removed
+            link and one that stays, and where no link is left.
+        """
+        return self.replace(**edits.without(self, names))
+
+    def renamed(self, prefix: str) -> Mechanism:
+        """A copy in which the names of base, links, joints and closures begin with a prefix. Parameters keep theirs.
+
+        The positions and velocities of the system are then named by the new joints.
+
+        Raises: ModelError for a prefix that is no text.
+        """
+        return self.replace(**edits.renamed(self, prefix))
+
+    def with_inertia(self, bodies: Mapping[str, SpatialInertia | None]) -> Mechanism:
+        """A copy with other bodies. `arm.link("hand").body` is the present one, to which a payload may be added by +.
+
+        Args:
+            bodies: by link, in the frame of the link; None for a link without mass.
+        Raises: ModelError for a link that is not known, or something that is no `SpatialInertia`.
+        """
+        return self.replace(**edits.with_inertia(self, bodies))
+
+    def rerooted(self, frame: str) -> Mechanism:
+        """The same links and joints, hung up by another link: the joints between it and the old root turn round.
+
+        - If the old root is on a `Free` joint, that joint carries the new root instead: the same motions with other
+          coordinates. So it is for the only link on the base, if it is on a `Fixed` joint.
+        - Else the base is the old root. It becomes a link without mass, and the new root is fixed to a new base,
+          "world". Gravity keeps its numbers, which are then in the axes of the new root.
+
+        Turned joints keep names, positions, limits and drives; an element of a group becomes its inverse. All frames
+        stay. A turned joint whose mount is no identity has a frame "<link> at <joint>" of its own.
+
+        Args:
+            frame: of the new root: a link, or the joint that carries it.
+        Raises: ModelError for a frame that is not known; a `Planar` joint, or one of another class, that would turn
+            round; a ball or free joint whose drive holds in axes of its child.
+        """
+        return self.replace(**rerooted(self, frame))
+
+    def to_urdf(self, name: str = "robot", *, leave_out: Collection[str] = ()) -> str:
+        """The mechanism as the text of a URDF file. `load` reads the same mechanism back.
+
+        Numbers are written to the last bit, those of Parameters with their default values. What URDF has no words for
+        is an error: closures, springs, armatures, gears, gravity other than (0, 0, -9.81), motors that joints lack,
+        meshes without a file, and joints that are `Helical` or `Cylindrical`.
+
+        Args:
+            name: of the robot.
+            leave_out: kinds that the file does without, such as ["armature", "gravity"]; the error names them.
+        Raises: ModelError for what cannot be written, with the joints or links it is at; numbers that are not known.
+
+        Example:
+            `pathlib.Path("arm.urdf").write_text(arm.to_urdf("arm"))`
+        """
+        from .writers.urdf_text import urdf_text
+
+        return urdf_text(self, name, leave_out)
+
+    def to_mjcf(self, name: str = "robot", *, leave_out: Collection[str] = ()) -> str:
+        """The mechanism as the text of an MJCF file, for MuJoCo. `load` reads the same mechanism back.
+
+        As `to_urdf`, but for what MJCF has: springs, armatures, gears, gravity, motors of some joints, and closures of
+        points and poses. It has no speed limits, no `AxisLoop`, no `Planar`, `Helical` or `Cylindrical` joints, no
+        bodies without mass, and no names of `Fixed` joints. The base is the world, with a site of the base's name.
+        Shapes do not touch.
+
+        Args:
+            name, leave_out: as of `to_urdf`.
+        Raises: ModelError as `to_urdf` does; a moving link without mass, or with an inertia that MuJoCo refuses; a free
+            joint that is not on the base.
+        """
+        from .writers.mjcf_text import MjcfText
+
+        return MjcfText(self, name, leave_out).text
 
     def _knowing(self, rates: Mapping[str, Expr]) -> Mechanism:
         """A copy whose bodies have the rates of the states that they depend on."""
@@ -110,7 +235,7 @@ class Mechanism(KinematicTree):
     def energy(self, q: Positions | None = None, qd: ExprLike | None = None) -> Expr:
         """$T + U$ (), J: the sum of `energies`.
 
-        It changes by motors, friction, outer forces and masses that move in bodies, and by nothing else.
+        It changes only by motors, friction, external forces and masses that move in bodies.
 
         Raises: as `energies`.
         """
@@ -121,7 +246,7 @@ class Mechanism(KinematicTree):
 
         "gravity" is zero for masses at the base, "springs" where all springs of the drives are at rest.
 
-        Raises: ShapeError; ModelError for bodies with masses that move by rates that are not known.
+        Raises: ShapeError; ModelError for bodies with moving masses whose rates are unknown.
         """
         parts = (kinetic_energy(self, q, qd), potential_energy(self, q), spring_energy(self, q))
         return dict(zip(("kinetic", "gravity", "springs"), parts, strict=True))
@@ -146,31 +271,61 @@ class Mechanism(KinematicTree):
         Limits are the bounds of states and controls. The corrections close the loops of the mechanism.
 
         Args:
-            controls: the joints that motors drive; `driven` unless given. Their commands are the Control
-                "tau", one entry a freedom, in the order of the joints named. None named, none made.
+            controls: the joints with motors; `driven` by default. Their commands are the Control
+                "tau", one entry for each freedom, in the order of the joints. An empty list makes no control.
             forces: further forces of the joints (n,), N or N m, such as those of a feedback.
-            wrenches: what acts on the mechanism from outside, by frame.
+            wrenches: external wrenches, by frame.
             rates: of further states, such as those that the inertia of a body depends on.
-            outputs, constraints: as for `tx.System`; of `q` and `qd`, or anything else. Outputs may be a function
-                f(qdd, tau) that gives them: of the accelerations (n,) of the motion, and of all that motors, springs,
-                friction and `forces` exert on the joints (n,), N or N m.
+            outputs, constraints: as for `tx.System`, of `q` and `qd`, or other expressions. Outputs may be a function
+                f(qdd, tau) that returns them, of the accelerations (n,) of the motion, and of the joint forces (n,), N
+                or N m, of motors, springs, friction and `forces`.
         Raises:
-            ModelError: a joint or frame that is not known; a mechanism in which nothing moves; rates of the
-                mechanism's own states, or of states that a body depends on and that are not known.
+            ModelError: an unknown joint or frame; a mechanism without moving joints; rates of the
+                mechanism's own states; unknown rates of states that a body depends on.
             ShapeError: an argument of another shape.
         """
         mechanism = self._knowing(rates_by_name(rates)) if rates else self
         return system_of(mechanism, controls, forces, wrenches, rates, outputs, constraints)
 
+    def inverse_system(
+        self,
+        *,
+        controls: Collection[str] | None = None,
+        forces: ExprLike | None = None,
+        wrenches: Mapping[str, ExprLike] | None = None,
+        outputs: Mapping[str, ExprLike] | Callable[[Expr, Expr], Mapping[str, ExprLike]] | None = None,
+        constraints: Asked | Iterable[Asked] | Mapping[str, Asked] = (),
+    ) -> System:
+        """The mechanism as a `tx.System` with accelerations for controls, for optimal control by inverse dynamics.
+
+        The states are `q` and `qd`, the Control "qdd" (n,) is the rate of qd. What motors have to do follows by RNEA,
+
+            $gear tau = M(q) qdd + h(q, qd) - forces$ of springs, damping, friction, wrenches,
+
+        and is the output "tau". Its limits are constraints, and freedoms without a motor, such as the six of a floating
+        base, are equalities. Rates are linear, and an evaluation is cheaper than one of forward dynamics.
+
+        Args:
+            controls: the joints that motors drive; `driven` unless given.
+            forces, wrenches: as for `system`. Contact forces may be controls: `tx.mechanics.given_forces`.
+            outputs, constraints: as for `system`, beside those above.
+        Raises:
+            ModelError: a joint or frame that is not known; nothing moves; loops; a name that is taken.
+            ShapeError: an argument of another shape.
+
+        Source: Erez, Todorov, Trajectory optimization for domains with contacts using inverse dynamics, IROS (2012).
+        """
+        return inverse_system_of(self, controls, forces, wrenches, outputs, constraints)
+
 
 class Chain(Mechanism):
-    """Links one after the other from a base at rest to the tip, under uniform gravity: a `Mechanism` with one branch.
+    """Links in series from a base at rest to the tip, under uniform gravity: a `Mechanism` with one branch.
 
     Args:
-        links: one or more, from base to tip; each sits on the one before, whatever its `parent` says.
+        links: one or more, from base to tip; the parent of each is the previous one, whatever its `parent` is.
         gravity: (3,) in the base's axes, m/s2; numbers or an expression.
     Raises:
-        ModelError: no links, or something else among them.
+        ModelError: no links, or elements that are not links.
         ShapeError: gravity is not of shape (3,).
     """
 

@@ -1,19 +1,24 @@
-"""A mechanism as a system: its states on their groups, its motors as controls, its limits as bounds."""
+"""A mechanism as a system: its motors as controls and its limits as bounds, or accelerations as controls and torques as
+constraints.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Any
 
+import numpy as np
+
 from ..checks import callable_with, listed
 from ..errors import ModelError
-from ..expr import Concat, Constant, Expr, State
+from ..expr import Concat, Constant, Control, Expr, State
 from ..expr.fields import ExprLike
 from ..expr.operations.soft import Asked
 from ..expr.transformations.rate import rates_by_name
 from ..system import System
+from ..system.system import constraints_by_name
 from .algorithms.closed_loops import ClosedLoops
-from .algorithms.dynamics import Wrenches
+from .algorithms.dynamics import Wrenches, inverse_dynamics
 from .algorithms.forward_dynamics import forward_dynamics
 from .algorithms.system_slopes import slopes_of_accelerations
 from .kinematic_tree import KinematicTree
@@ -35,18 +40,13 @@ def system_of(
     further = rates_by_name(rates or {})
     controls = mechanism.driven if controls is None else controls
     driven = mechanism.freedoms(controls)
-    tau: list[Expr] = [Constant(0.0)] * mechanism.dofs
     command = mechanism.motors(controls) if driven else None
     places = mechanism.positions("system", None)
-    for segment, place in zip(mechanism.segments, places, strict=True):
-        drive, mimic, deflection = segment.link.drive, segment.link.mimic, segment.link.joint.deflection(place)
-        for k, i in enumerate(segment.freedoms):
-            rate = segment.scaled(mechanism.qd[i])
-            passive = drive.passive(None if deflection is None else deflection[k], rate)
-            if passive is not None:
-                tau[i] = tau[i] + segment.scaled(passive)
-            if command is not None and mimic is None and i in driven:
-                tau[i] = tau[i] + drive.gear * command[driven.index(i)]
+    tau = _passive_forces(mechanism, places)
+    for segment in mechanism.segments:
+        for i in segment.freedoms:
+            if command is not None and segment.link.mimic is None and i in driven:
+                tau[i] = tau[i] + segment.link.drive.gear * command[driven.index(i)]
     total: Expr = Concat(*tau)
     if forces is not None:
         total = total + mechanism.coordinates("system", "forces", forces)
@@ -76,6 +76,19 @@ def system_of(
     )
 
 
+def _passive_forces(mechanism: KinematicTree, places: list[Expr]) -> list[Expr]:
+    """The force of springs, damping and friction on each freedom, N or N m."""
+    tau: list[Expr] = [Constant(0.0)] * mechanism.dofs
+    for segment, place in zip(mechanism.segments, places, strict=True):
+        drive, deflection = segment.link.drive, segment.link.joint.deflection(place)
+        for k, i in enumerate(segment.freedoms):
+            rate = segment.scaled(mechanism.qd[i])
+            passive = drive.passive(None if deflection is None else deflection[k], rate)
+            if passive is not None:
+                tau[i] = tau[i] + segment.scaled(passive)
+    return tau
+
+
 def _kinematics(mechanism: KinematicTree, places: list[Expr], qd: Expr) -> dict[Any, Expr]:
     """The rates of all positions at velocities (n,)."""
     q = mechanism.q
@@ -91,3 +104,64 @@ def _kinematics(mechanism: KinematicTree, places: list[Expr], qd: Expr) -> dict[
         else:
             group_rates[place] = segment.link.joint.rate(place, joint_rate)
     return {vector: Concat(*rows), **group_rates} if rows else group_rates
+
+
+# ---- by inverse dynamics ---------------------------------------------------------------------------------------------
+
+#: The names of what is added to a system, which its user may not take.
+_COMMAND, _LEAST, _MOST, _FREE = "tau", "tau at least", "tau at most", "freedoms without motors"
+
+
+def inverse_system_of(
+    mechanism: KinematicTree,
+    controls: Collection[str] | None,
+    forces: ExprLike | None,
+    wrenches: Wrenches | None,
+    outputs: Mapping[str, ExprLike] | Callable[[Expr, Expr], Mapping[str, ExprLike]] | None,
+    constraints: Asked | Iterable[Asked] | Mapping[str, Asked],
+) -> System:
+    """Implements `Mechanism.inverse_system`."""
+    if not mechanism.dofs:
+        raise ModelError("inverse_system expects a mechanism with a joint that moves, got none")
+    if mechanism.loops:
+        raise ModelError(
+            "inverse_system expects a tree, got a mechanism with loops, whose wrenches nothing fixes.\n"
+            "  fix: take system(), or cut the loops and give their forces as controls by wrenches="
+        )
+    qdd = Control("qdd", (mechanism.dofs,))
+    places = mechanism.positions("inverse_system", None)
+    total = inverse_dynamics(mechanism, qdd=qdd, wrenches=wrenches)
+    left = total - Concat(*_passive_forces(mechanism, places))
+    if forces is not None:
+        left = left - mechanism.coordinates("inverse_system", "forces", forces)
+    joints = mechanism.driven if controls is None else controls
+    driven = mechanism.freedoms(joints)
+    rows: dict[str, Asked] = {}
+    shown: dict[str, ExprLike] = {}
+    if driven:
+        motors, gears = mechanism.motors(joints), _gears(mechanism)
+        command = Concat(*(left[i] / gears[i] for i in driven))
+        shown[_COMMAND] = command
+        for name, limits, sign in ((_LEAST, motors.min, -1.0), (_MOST, motors.max, 1.0)):
+            limited = [] if limits is None else np.flatnonzero(np.isfinite(limits)).tolist()
+            if limits is not None and limited:
+                rows[name] = Concat(*(sign * command[k] for k in limited)) <= sign * limits[limited]
+    if free := [i for i in range(mechanism.dofs) if i not in driven]:
+        rows[_FREE] = Concat(*(left[i] for i in free)) == np.zeros(len(free))
+    if callable(outputs):
+        callable_with("inverse_system: outputs", outputs, ["qdd", "tau"], ModelError)
+        outputs = outputs(qdd, total)
+    further = constraints_by_name(constraints)
+    for kind, names, taken in (("outputs", outputs or {}, shown), ("constraints", further, rows)):
+        if twice := [name for name in names if name in taken]:
+            raise ModelError(f"inverse_system: {kind} names {listed(twice)}, which it adds itself.\n  fix: rename it")
+    labels = labels_of(mechanism, [])
+    labels["qdd"] = [(name, f"{unit}2" if unit.endswith("/s") else unit) for name, unit in labels["qd"]]
+    motion: dict[Any, ExprLike] = {**_kinematics(mechanism, places, mechanism.qd), mechanism.qd: qdd}
+    return System(rates=motion, outputs={**shown, **(outputs or {})}, constraints={**rows, **further}, labels=labels)
+
+
+def _gears(mechanism: KinematicTree) -> dict[int, ExprLike]:
+    """The joint force per unit of command of every freedom, of its joint and not of those that mimic it."""
+    segments = [segment for segment in mechanism.segments if segment.link.mimic is None]
+    return {i: segment.link.drive.gear for segment in segments for i in segment.freedoms}

@@ -13,13 +13,25 @@ Source: R. Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 3.
 from __future__ import annotations
 
 import dataclasses
+from typing import Any, TypeAlias
 
 import numpy as np
 
-from ..expr import Expr
+from ..checks import reals
+from ..errors import ModelError, ShapeError
+from ..expr import Concat, Constant, Expr, Norm, Parameter, Stack, Where
 from ..expr.fields import ExprLike
-from ..expr.lie import SE3Adjoint, SE3AdjointDual
+from ..expr.kinds.kinds import FreeVector, Kind, Pose, Rotation, Twist
+from ..expr.kinds.unit import METRE, ONE, SECOND, Unit
+from ..expr.lie import SE3Adjoint, SE3AdjointDual, twist
+from ..expr.lie.base import unit_vector
+from ..groups import SE3, SO3, Group
 from .arguments import of_shape, pose
+
+#: What a state is known as.
+Known: TypeAlias = tuple[Kind | None, Unit | None]
+#: How far h*^T H may be from the identity.
+_ROUND_OFF = 1e-12
 
 
 class Subspaces:
@@ -30,7 +42,7 @@ class Subspaces:
     constraint_basis: Expr
 
     def actuation(self, F: ExprLike) -> Expr:
-        """$H^T F$ (k,): the generalised force of a wrench F (6,) on the child; N for a slide, N m for a turn.
+        """$H^T F$ (k,): the generalised force of a wrench F (6,) on the child; N for a translation, N m for a rotation.
 
         Raises: ShapeError if F is not of shape (6,).
         """
@@ -70,11 +82,12 @@ class Screws(Subspaces):
     constraint_basis: Expr
 
     def in_frame(self, T: ExprLike) -> Screws:
-        """The same joint seen in frame a: $Ad_T H$, $Ad*_T h*$, $Ad*_T Hbar*$ with T (4, 4) from frame b of these to a.
+        """The same joint expressed in frame a: $Ad_T H$, $Ad*_T h*$, $Ad*_T Hbar*$ with T (4, 4) from this frame b to
+        a.
 
         Raises:
             ShapeError: T is not of shape (4, 4).
-            ModelError: T is made of numbers and no pose.
+            ModelError: T is a numeric array and not a pose.
         """
         T_ab = pose("a change of frame of a joint", "the pose T", T)
         moved = SE3AdjointDual(T_ab)
@@ -105,3 +118,95 @@ def complement(columns: np.ndarray) -> np.ndarray:
             basis.append(vector / np.linalg.norm(vector))
     # Adding 0 turns -0 into 0.
     return np.stack(basis[k:], axis=1) + 0.0 if k < n else np.zeros((n, 0))
+
+
+# ---- kinds and units of coordinates ----------------------------------------------------------------------------------
+
+
+def turns_of(motion_subspace: Expr) -> tuple[bool, ...] | None:
+    """By freedom, whether it is a turn, in rad, and no slide, in m; None where H is an expression."""
+    if not isinstance(motion_subspace, Constant):
+        return None
+    return tuple(bool(np.any(column[3:])) for column in np.asarray(motion_subspace.value).T)
+
+
+def unit_of(motion_subspace: Expr) -> Unit | None:
+    """The unit that all coordinates of a joint have; None where they differ."""
+    turns = set(turns_of(motion_subspace) or ())
+    return None if len(turns) != 1 else ONE if turns == {True} else METRE
+
+
+def kinds_of(motion_subspace: Expr, group: Group | None) -> tuple[Known, Known]:
+    """The kind and the unit of position and velocity. Their frames are named by what the joint connects."""
+    if group is SE3:
+        return (Pose(), None), (Twist(), None)
+    if group is SO3:
+        return (Rotation(), None), (FreeVector(), ONE / SECOND)
+    unit = unit_of(motion_subspace) if group is None else None
+    return (None, unit), (None, None if unit is None else unit / SECOND)
+
+
+def element_kind(group: Group | None, to: str, source: str) -> Kind | None:
+    """The kind of a position on a group between two frames; None for other groups."""
+    return Pose(to, source) if group is SE3 else Rotation(to, source) if group is SO3 else None
+
+
+def screw(linear: Any, angular: Any) -> Any:
+    """H of one freedom; numbers if both halves are numbers."""
+    if isinstance(linear, Expr) or isinstance(angular, Expr):
+        return twist(linear=linear, angular=angular)[:, None]
+    return np.concatenate([linear, angular])
+
+
+def across(a: Expr) -> Expr:
+    """Two orthonormal vectors (3, 2) perpendicular to a unit vector.
+
+    Source: T. Duff and others, Building an Orthonormal Basis, Revisited (2017).
+    """
+    x, y, z = a[0], a[1], a[2]
+    sign = Where(z >= 0.0, 1.0, -1.0)
+    k = -1.0 / (sign + z)
+    one = Concat(1.0 + sign * x * x * k, sign * x * y * k, -sign * x)
+    return Stack(one, Concat(x * y * k, sign + y * y * k, -y)).T
+
+
+def checked_motion(owner: str, value: Any) -> np.ndarray:
+    """H (6, k) of numbers. Raises ShapeError; ModelError for columns that are not finite and independent."""
+    H = _columns(f"{owner}: motion", value)
+    if H.ndim != 2 or H.shape[0] != 6 or H.shape[1] > 6:
+        raise ShapeError(f"{owner} expects motion with shape (6, k), k from 0 to 6, got {np.shape(value)}")
+    if not np.isfinite(H).all() or (H.size and np.linalg.matrix_rank(H) < H.shape[1]):
+        raise ModelError(
+            f"{owner} expects motion with finite, independent columns, got\n{H}\n"
+            "  fix: one column for each freedom, none of them a combination of others"
+        )
+    return H
+
+
+def checked_actuation(owner: str, basis: Any, H: np.ndarray) -> np.ndarray:
+    """h* (6, k) of numbers. Raises ShapeError; ModelError where h*^T H is not the identity."""
+    h = _columns(f"{owner}: actuation_basis", basis)
+    if h.shape != H.shape:
+        raise ShapeError(f"{owner} expects actuation_basis with the shape of motion, {H.shape}, got {h.shape}")
+    product = h.T @ H
+    if not np.allclose(product, np.eye(H.shape[1]), rtol=0.0, atol=_ROUND_OFF):
+        raise ModelError(
+            f"{owner}: actuation_basis must give unit power on the motions, actuation_basis.T @ motion = I, got\n"
+            f"{product}\n  fix: leave actuation_basis out, or divide it by this product"
+        )
+    return h
+
+
+def _columns(place: str, value: Any) -> np.ndarray:
+    columns = reals(place, value, ModelError).astype(np.float64)
+    return columns[:, None] if columns.ndim == 1 else columns
+
+
+def direction(owner: str, axis: Any) -> Any:
+    """A unit vector (3,): numbers, or an expression whose value, where it is known, is a direction."""
+    if not isinstance(axis, Expr):
+        return unit_vector(owner, "axis", axis)
+    a = of_shape(owner, "axis", axis, (3,))
+    if isinstance(a, Parameter) and a.value is not None:
+        unit_vector(owner, "axis", a.value)
+    return a / Norm(a)

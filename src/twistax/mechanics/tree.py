@@ -30,7 +30,7 @@ class Mimic:
     """A joint that follows another joint: its position is ratio times the position of that joint, plus offset.
 
     Attributes:
-        joint: the name of the joint that leads.
+        joint: the name of the leading joint.
         ratio, offset: finite numbers; the offset in rad or m.
     Raises: ModelError if they are not.
     """
@@ -48,25 +48,25 @@ class Mimic:
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class Link:
-    """A body, the joint that carries it, and the pose of that joint on the link before. The link's frame is the joint's
+    """A body, the joint that carries it, and the pose of that joint on the parent link. The link's frame is the joint's
     child frame.
 
-    A link on a `Fixed` joint is merged with the link that it sits on; its frame keeps its name. So a link on a Fixed
-    joint without a body is nothing but a frame.
+    A link on a `Fixed` joint is merged with its parent; its frame keeps its name. So a link on a Fixed
+    joint without a body is a frame.
 
     Attributes:
         joint: a joint of any kind.
         body: mass, centre of mass and inertia in the link's frame; None for a link without mass.
-        mount: T (4, 4) of the joint's parent frame in the frame of the link before, or of the base: numbers, or an
+        mount: T (4, 4) of the joint's parent frame in the frame of the parent link, or of the base: numbers, or an
             expression that does not change with the motion.
-        parent: the name of the link before; None for the base. In a `Chain` it is the link before in the list.
+        parent: the name of the parent link; None for the base. In a `Chain` it is the previous link of the list.
         name: of the link; the name of the joint by default.
         drive: rotor, damping, friction, spring, gear and limits of the joint.
         mimic: the joint that this one follows, or None.
         shapes: what `solution.show` draws for the link; by default the ellipsoid of its inertia.
     Raises:
-        ModelError: something else as joint, body, drive or mimic; a mount made of numbers that is not a pose, or one
-            that depends on time, states or controls; a follower with a position on a group.
+        ModelError: a joint, body, drive or mimic of another type; a numeric mount that is not a pose, or one
+            that depends on time, states or controls; a mimic joint with a position on a group.
         ShapeError: mount is not of shape (4, 4).
     """
 
@@ -197,7 +197,7 @@ def sorted_links(links: Iterable[Any], base: str) -> tuple[Link, ...]:
     if len(order) < len(links):
         left = sorted(set(known) - {link.name for link in order})
         raise ModelError(
-            f"the links {listed(left)} do not hang on the base.\n"
+            f"the links {listed(left)} are not connected to the base.\n"
             "  fix: a mechanism is a tree: follow parent= from each of them, one has to end in None"
         )
     return tuple(order)

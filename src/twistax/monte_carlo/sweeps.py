@@ -56,10 +56,10 @@ class Statistics:
 
 
 class Sweep:
-    """The results of a sweep, read from its chunks when asked for.
+    """The results of a sweep, which are read from its chunks when they are accessed.
 
     Attributes:
-        count: how many members there are.
+        count: the number of members.
         codes: (count,) the number of each member's `Result`.
         statistics: of the members that did not fail.
     """
@@ -75,23 +75,24 @@ class Sweep:
 
     @property
     def failed(self) -> dict[int, Result]:
-        """The members that failed, by number. `member` gives what one was run with."""
+        """The members that failed, by number. `member` returns the inputs of one."""
         bad = np.flatnonzero(~ended_well(self.codes))
         return {int(i): Result(int(self.codes[i])) for i in bad}
 
     @functools.cached_property
     def values(self) -> Any:
-        """The results of all members, on the leading axis, those that failed too: as much memory as they take."""
+        """The results of all members, including failed ones, on the leading axis; all in memory."""
         chunks = [self._chunks.read(k)[:-1] for k in range(self._plan.chunks)]
         return self._plan.tree([np.concatenate(parts) for parts in zip(*chunks, strict=True)])
 
     def percentiles(self, percent: float | int | Sequence[float | int]) -> Any:
-        """Of each result over the members that did not fail, by linear interpolation; one result in memory at a time.
+        """Percentiles of each result over the members that did not fail, by linear interpolation; one result in memory
+        at a time.
 
         Args:
             percent: 0 to 100, one number or several, which make a leading axis.
         Raises:
-            InputError: numbers outside; every member failed.
+            InputError: numbers outside of this range; every member failed.
         """
         percents = reals("percentiles", percent, InputError)
         if not np.all((percents >= 0.0) & (percents <= 100.0)):
@@ -106,7 +107,7 @@ class Sweep:
         return self._plan.tree([np.percentile(column(i), percents, axis=0) for i in range(self._plan.columns)])
 
     def member(self, number: int) -> Any:
-        """What a member was run with.
+        """The inputs of a member.
 
         Raises:
             InputError: there is no such member.
@@ -127,7 +128,7 @@ def sweep(
     devices: Sequence[jax.Device] | None = None,
     progress: bool | None = None,
 ) -> Sweep:
-    """Run a function for many members, as a Monte Carlo over starts, parameters and controls does.
+    """Run a function for many members, for example a Monte Carlo over initial states, parameters and controls.
 
         def drop(member):
             solution = tx.integrate(dynamics, member["x"], t1=10.0, dt=1e-3, params=member["params"])
@@ -136,25 +137,25 @@ def sweep(
         found = tx.sweep(drop, lambda key: {"x": ..., "params": ...}, count=100_000, directory="out/drop")
         found.statistics.mean["miss"], found.percentiles([5, 50, 95])["miss"], found.failed
 
-    Members are computed in chunks, of which each is shared between the devices. With a directory every chunk is kept as
-    soon as it is there: the same call takes up where an earlier one was stopped, and several processes of
-    `jax.distributed` with the same directory share the chunks. A member that fails is named by its number, with its
-    `Result`, and no other one is touched by it.
+    Members are computed in chunks, and each chunk is distributed over the devices. With a directory every complete
+    chunk is stored: a repeated call resumes an interrupted one, and several processes of
+    `jax.distributed` with the same directory share the chunks. A member that fails is listed by its number, with its
+    `Result`, and does not affect the others.
 
     Args:
         run: traceable, from one member to a `Solution`, to (Solution, results), or to results alone, a pytree of
-            arrays. Of a solution alone the states at the saved times are kept. A member has failed where its solution
-            has, or where a result is not finite.
+            arrays. Of a solution alone the states at the saved times are stored. A member fails if its solution
+            fails, or if a result is not finite.
         members: a pytree of arrays, members on the leading axis; or a traceable function from a random key to one
-            member, which has a key of its own that depends on `seed` and its number alone.
-        count: how many members a function draws.
-        chunk: members that are in memory at a time, in each process.
-        directory: where chunks are kept; made if missing. In memory if None.
-        devices: those of this process; all if None.
-        progress: show a line on the terminal; None: if there is one.
+            member, whose key depends on `seed` and its number alone.
+        count: the number of members, for a function.
+        chunk: the number of members in memory at a time, in each process.
+        directory: the folder of the chunks, which is created if missing. None stores them in memory.
+        devices: devices of this process; all for None.
+        progress: show a line on the terminal; None: if there is a terminal.
     Raises:
-        InputError: axes of different lengths, a count that is missing or given twice, several processes without a
-            directory; a directory with a sweep of something else.
+        InputError: axes of different lengths, a missing or ambiguous count, several processes without a
+            directory; a directory with another sweep.
     """
     usable = jax.local_devices() if devices is None else list(devices) if np.iterable(devices) else []
     local = {d for d in usable if isinstance(d, jax.Device) and d.process_index == jax.process_index()}

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..jax_inside import ClosedJaxpr, Primitive, jaxpr_as_fun, of_one_device, spread, weakly_kept
-from .jax_primitive import Differentiable, Shapes, call_program, differentiable
+from .jax_primitive import Derived, Differentiable, Shapes, call_program, differentiable
 from .program import Rows
 
 Result = TypeVar("Result")
@@ -93,14 +93,53 @@ class ArrayProgram(Differentiable):
         return self.made(closed)
 
 
+@weakly_kept
+class BatchedByKernel(ArrayProgram):
+    """A function that JAX runs for one member, and a kernel for batches with enough operations.
+
+    Args:
+        program: the function.
+        scalars: makes the scalar program of a jaxpr, with the runner of its kernels; None: it has no native form.
+    """
+
+    exports_kernels = False
+
+    def __init__(self, program: ClosedJaxpr, scalars: Callable[[ClosedJaxpr], Derived | None]) -> None:
+        super().__init__(program)
+        self._scalars = scalars
+
+    @functools.cached_property
+    def _derived(self) -> Derived | None:
+        return self._scalars(self.program)
+
+    def primitive(self, inside: bool) -> Primitive:
+        return _batched_p
+
+    def kernel(self, rows: int, platform: str) -> Rows | None:
+        # One member alone is not read as scalars, which takes longer than XLA takes to compile it.
+        return None if rows == 1 or self._derived is None else self._derived.kernel(rows, platform)
+
+    def made(self, program: ClosedJaxpr) -> BatchedByKernel:
+        return BatchedByKernel(program, self._scalars)
+
+
 #: A function, or one that runs in parts.
 _array_program_p = Primitive("whole_function")
-differentiable(_array_program_p)
+#: A function that is a kernel in batches. Under a name of its own: it may be part of scalar programs.
+_batched_p = Primitive("batched_function")
+for _primitive in (_array_program_p, _batched_p):
+    differentiable(_primitive)
 
 
 def is_array_program(eqn: Any) -> bool:
-    """Whether an equation of a jaxpr is such a function."""
+    """Whether an equation of a jaxpr is a function that runs in parts."""
     return eqn.primitive is _array_program_p
+
+
+def written_out(eqn: Any) -> ClosedJaxpr | None:
+    """The jaxpr of an equation that is a function of arrays, of one member; None for other equations."""
+    is_function = eqn.primitive in (_array_program_p, _batched_p) and not eqn.params["batch"].depth
+    return eqn.params["program"].program if is_function else None
 
 
 def on_any_mesh(function: Callable[..., Result], *arguments: Any) -> Result:

@@ -50,6 +50,7 @@ class Emission:
     function: Callable[..., list[jax.Array]]  # pure and traceable
     program: ScalarProgram | None  # that it runs; None where it runs as arrays
     reason: str  # one sentence
+    few: bool = False  # whether it runs as arrays because it has few operations
 
 
 class StepCompiler:
@@ -88,6 +89,8 @@ class Backend(ABC):
 
     #: The least number of scalar operations of a call that runs as a kernel; None: no call does.
     least: int | None = None
+    #: Entries beyond which arrays stay arrays, which may be batches; None: all stay arrays.
+    widest: int | None = None
 
     def __str__(self) -> str:
         """Its name, and the options that differ from the defaults."""
@@ -131,22 +134,22 @@ class JAX(Backend):
 
 @dataclasses.dataclass(frozen=True)
 class XLA(Backend):
-    """Runs functions as scalars without structural zeros and ones, compiled by XLA, if the function is large enough to
-    gain by it.
+    """Runs large functions as scalar programs without structural zeros and ones, compiled by XLA; others run as
+    arrays.
 
     By default 0 x, 0 / x and x - x are zero, also where x is infinite or NaN; constants are folded; x / d and y / d
-    share 1 / d. Functions without a scalar form are called as they are.
+    share 1 / d. Functions without a scalar form are called unchanged.
 
     Attributes:
         checked: keep 0 x, 0 / x and x - x, and every division.
-        least: functions with fewer scalar operations, not counting those on parameters alone, run as arrays, where XLA
-            finds the same savings itself.
+        least: functions with fewer scalar operations, without those on parameters alone, run as arrays, where XLA
+            performs the same simplifications.
         largest: functions with more scalars run as arrays, because they would take long to compile.
-        widest: functions with an array of more entries run as arrays, which use the processor's vectors as well. For
-            intermediate arrays this holds unless they are mostly zeros.
+        widest: functions with an array of more entries run as arrays, which XLA vectorises. For
+            intermediate arrays this applies unless they are mostly zeros.
 
     Raises:
-        ModelError: least, largest or widest is no whole number from 0 on.
+        ModelError: least, largest or widest is not a whole number from 0 on.
     """
 
     checked: bool = False
@@ -161,7 +164,7 @@ class XLA(Backend):
     def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
         arrays = as_arrays(closed)
         if array_operations(closed.jaxpr).total() < self.least:
-            return Emission(arrays, None, f"arrays: fewer than {self.least} scalar operations")
+            return Emission(arrays, None, f"arrays: fewer than {self.least} scalar operations", few=True)
         try:
             program = self.scalarised(closed)
         except TooLarge as error:
@@ -171,7 +174,8 @@ class XLA(Backend):
         if count < self.least:
             # XLA computes what depends on parameters alone once, before a loop, if it is in arrays.
             kind = "change with time and state, " if fixed else ""
-            return Emission(arrays, None, f"arrays: {count} scalar operations {kind}fewer than {self.least}")
+            reason = f"arrays: {count} scalar operations {kind}fewer than {self.least}"
+            return Emission(arrays, None, reason, few=True)
         calls = emitted_form(program).calls if program.calls else []
         foreign = [c for c in calls if not known_inside(c.jaxpr.jaxpr)]
         if foreign:
@@ -185,16 +189,16 @@ class XLA(Backend):
         return _ScalarSteps(self)
 
     def scalarised(self, closed: ClosedJaxpr, limits: Limits = LIMITS) -> ScalarProgram:
-        """The scalars of a jaxpr.
+        """The scalar program of a jaxpr.
 
         Raises:
-            TooLarge: there are more than `largest`, or an array of more than `widest` entries; complex results, of
-                which scalars have no derivatives.
+            TooLarge: there are more than `largest` scalars, or an array of more than `widest` entries; the result is
+                complex, for which scalar programs have no derivatives.
         """
         if any(jnp.issubdtype(v.aval.dtype, jnp.complexfloating) for v in closed.jaxpr.outvars):
             raise TooLarge("one of the results is complex")
         ends = max((v.aval.size for v in [*closed.jaxpr.invars, *closed.jaxpr.outvars]), default=0)
-        widest = max((v.aval.size for v in _variables(closed.jaxpr)), default=0)
+        widest = max((v.aval.size for v in variables(closed.jaxpr)), default=0)
         work = array_operations(closed.jaxpr).total() if ends <= self.widest < widest else 0
         if widest <= self.widest or 0 < work <= _MOST_WORK * self.largest:
             program = self.scalars(closed, self.largest, limits)
@@ -203,7 +207,7 @@ class XLA(Backend):
         raise TooLarge(f"one of the arrays has more than {self.widest} entries")
 
     def scalars(self, closed: ClosedJaxpr, largest: int, limits: Limits = LIMITS) -> ScalarProgram:
-        """A jaxpr as a scalar program, of at most so many scalars."""
+        """A jaxpr as a scalar program, up to a maximal number of scalars."""
         return scalarize(closed, checked=self.checked, largest=largest, limits=limits)
 
 
@@ -241,10 +245,15 @@ def pure(function: Step, shapes: Shapes) -> ClosedJaxpr | None:
     Programs have no effects, closed-over traced values or random keys. Long closed-over tables take minutes to read.
     """
     closed = jax.make_jaxpr(function)(*shapes)
-    keys = any(map(is_key, [*closed.jaxpr.constvars, *_variables(closed.jaxpr)]))
+    return closed if is_pure(closed) else None
+
+
+def is_pure(closed: ClosedJaxpr) -> bool:
+    """Whether a jaxpr has a good program: see `pure`."""
+    keys = any(map(is_key, [*closed.jaxpr.constvars, *variables(closed.jaxpr)]))
     if closed.effects or is_traced(closed.consts) or keys:
-        return None
-    return closed if sum(jnp.size(c) for c in closed.consts) <= _MOST_CONSTANTS else None
+        return False
+    return sum(jnp.size(c) for c in closed.consts) <= _MOST_CONSTANTS
 
 
 def _steady(jaxpr: Jaxpr) -> bool:
@@ -257,8 +266,13 @@ def array_operations(jaxpr: Any) -> Counter[str]:
 
     Factorisations count as the cube of their size.
     """
+    return operations_of(jaxpr.eqns)
+
+
+def operations_of(eqns: Sequence[Any]) -> Counter[str]:
+    """The same for some equations."""
     counts: Counter[str] = Counter()
-    for eqn in jaxpr.eqns:
+    for eqn in eqns:
         entry = entry_of(eqn)
         inner = inner_jaxprs(eqn) if entry is None else entry.runs(eqn)
         for body in inner:
@@ -271,7 +285,28 @@ def array_operations(jaxpr: Any) -> Counter[str]:
     return +counts
 
 
-def _variables(jaxpr: Jaxpr) -> list[Any]:
+#: Operations of one instruction.
+_SHORT = {"add", "add_any", "sub", "mul", "square", "neg", "abs", "max", "min", "select", "and", "or", "not"}
+_SHORT |= {"eq", "ne", "lt", "le", "gt", "ge"}
+#: Operations of one instruction that take as long as another: a division, a root, a function.
+_SHORT_PER_LONG = 10
+#: In a batch a kernel gains where it computes at least so many short operations for each number that it moves.
+_LEAST_PER_NUMBER = 2
+
+
+def outweighs_memory(jaxpr: Jaxpr) -> bool:
+    """Whether a function takes longer to compute than its arguments and results to read and write.
+
+    Only then batches of it gain by a kernel: it reads rows of members, XLA's loops whole columns.
+    """
+    counts = array_operations(jaxpr).items()
+    short = sum(count if name in _SHORT else _SHORT_PER_LONG * count for name, count in counts)
+    read = {v for eqn in jaxpr.eqns for v in eqn.invars if not isinstance(v, Literal)}
+    moved: list[Any] = [*(v for v in jaxpr.invars if v in read), *jaxpr.outvars]
+    return short >= _LEAST_PER_NUMBER * sum(v.aval.size for v in moved)
+
+
+def variables(jaxpr: Jaxpr) -> list[Any]:
     """All inputs and computed variables, also inside calls and loops."""
     return [*jaxpr.invars, *(v for eqn in all_equations(jaxpr) for v in eqn.outvars)]
 

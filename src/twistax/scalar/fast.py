@@ -14,10 +14,12 @@ from jax import dtypes
 
 from ..errors import ModelError
 from ..jax_inside import ClosedJaxpr, all_equations, is_key, is_traced, jaxpr_as_fun, of_one_device, opened, spread
+from ..progress import say_once
 from .array_primitive import on_any_mesh
-from .backends import XLA, Backend, chosen
+from .backends import JAX, XLA, Backend, chosen
 from .jax_primitive import call_program
-from .segments import Segmented, has_loops
+from .parts.part import Reason, reason_of
+from .parts.segments import Segmented, has_parts
 from .targets.llvm.backend import Native, installed
 
 P = ParamSpec("P")
@@ -33,7 +35,7 @@ class Fast(Generic[P, R]):
     def __init__(self, function: Callable[P, R], backend: Backend, static: dict[str, Any]) -> None:
         functools.update_wrapper(self, function)
         self._function, self._backend, self._static = function, backend, static
-        self._jitted = self._jit(lambda *args, **kwargs: self._traced(args, kwargs)[0])
+        self._jitted = self._jit(lambda *args, **kwargs: self._warned(args, kwargs))
 
     def _jit(self, traced: Callable[..., Any]) -> Any:
         return jax.jit(functools.wraps(self._function)(traced), **self._static)
@@ -54,9 +56,18 @@ class Fast(Generic[P, R]):
     def __repr__(self) -> str:
         return f"tx.fast({getattr(self._function, '__qualname__', self._function)}, backend={self._backend})"
 
+    def _warned(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> R:
+        """The results; says once where nothing is gained."""
+        result, reasons = self._traced(args, kwargs)
+        if reasons and not any(reason.gains for reason in reasons) and not isinstance(self._backend, JAX):
+            why = "; ".join(dict.fromkeys(reason.text for reason in reasons))
+            missing = "" if installed() else "; llvmlite, which compiles kernels, is not installed"
+            say_once(f"{self!r} gains nothing, the function runs as JAX has it: {why}{missing}")
+        return result
+
     def explain(self, *args: P.args, **kwargs: P.kwargs) -> str:
         """How the parts of the function run for arguments of these shapes and types, a line each."""
-        reasons: list[str] = []
+        reasons: list[Reason] = []
 
         def asking(*args: Any, **kwargs: Any) -> Any:
             result, parts = self._traced(args, kwargs)
@@ -64,18 +75,19 @@ class Fast(Generic[P, R]):
             return result
 
         self._jit(asking).trace(*args, **kwargs)
-        return "\n".join(reasons)
+        return "\n".join(reason.text for reason in reasons)
 
-    def _traced(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[R, list[str]]:
+    def _traced(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[R, list[Reason]]:
         """The results for traced arguments, and a reason for each part."""
         leaves, structure = jax.tree.flatten((args, kwargs))
         places = [i for i, leaf in enumerate(leaves) if is_traced(leaf)]
         over = closed_over(self._function)
         if not places and not over:
-            return self._function(*args, **kwargs), ["as written: no argument is an array"]
+            return self._function(*args, **kwargs), [Reason("as written: no argument is an array", True)]
         if any(dtypes.canonicalize_dtype(t) != t for t in (leaf.dtype for leaf in [*over, *leaves] if is_traced(leaf))):
             # Of these JAX decides operation by operation.
-            return self._function(*args, **kwargs), ["arrays, as written: 64-bit arrays where jax_enable_x64 is off"]
+            reason = Reason("arrays, as written: 64-bit arrays where jax_enable_x64 is off", False)
+            return self._function(*args, **kwargs), [reason]
         # Else JAX makes closed-over values inputs.
         over = over if spread([*over, *leaves]) else []
         shapes: list[Any] = []
@@ -109,15 +121,15 @@ class _Bound(functools.partial[Any]):
         return text
 
 
-def _compiled(closed: ClosedJaxpr, backend: Backend) -> tuple[Callable[..., list[Any]], list[str]]:
+def _compiled(closed: ClosedJaxpr, backend: Backend) -> tuple[Callable[..., list[Any]], list[Reason]]:
     """A function of arrays, and a reason for each of its parts."""
     variables = [*closed.jaxpr.invars, *(v for eqn in all_equations(closed.jaxpr) for v in eqn.outvars)]
     if closed.effects or any(map(is_key, variables)):
         run = functools.partial(on_any_mesh, jaxpr_as_fun(closed))
-        return run, ["arrays, as written: it has effects or random keys"]
-    if not has_loops(closed):
+        return run, [Reason("arrays, as written: it has effects or random keys", False)]
+    if not has_parts(closed, backend):
         emission = backend.emit(closed)
-        return emission.function, [emission.reason]
+        return emission.function, [reason_of(emission)]
     program = Segmented(closed, backend)
     return functools.partial(call_program, program), program.parts[1]
 
@@ -135,21 +147,22 @@ def fast(
     matrix takes. Here the function becomes one program of scalars without structural zeros and ones, and where
     llvmlite is installed (`pip install "twistax[native]"`) a kernel for this processor, or for CUDA devices.
     `lax.scan`, `fori_loop` and `while_loop` with a body of scalars become one kernel each, with all of their
-    iterations. Batches of `jax.vmap` run side by side in the processor's vectors, or in the threads of a CUDA device.
+    iterations. Batches of `jax.vmap`, around the function or inside of it, and of `lax.map` run side by side in the
+    processor's vectors, or in the threads of a CUDA device.
     What has no such form (libraries, large arrays, effects, random keys) runs as JAX has it, and so does everything on
-    other devices. `fast(f).explain(*arguments)` says what became of it.
+    other devices. `fast(f).explain(*arguments)` says what became of it, and one warning where nothing is gained.
 
-    Results are those of the function to rounding, but 0 x, 0 / x and x - x are zero also where x is infinite or NaN,
-    unless the backend is `tx.Native(tx.XLA(checked=True))`.
+    Results have the units of the function. They equal those of the function up to round-off, except that 0 x, 0 / x and
+    x - x are zero also where x is infinite or NaN, unless the backend is `tx.Native(tx.XLA(checked=True))`.
 
-    In single precision intermediate derivatives may leave the range of numbers. `jax.jacfwd(fast(f))` and
-    `jax.grad(fast(f))` differentiate the program in a form that keeps them in range. `fast(jax.jacfwd(f))` and
-    `fast(jax.grad(f))` compile the formulas of JAX, of which only those of quotients and powers are put into that form.
+    In single precision intermediate derivatives may overflow or underflow. `jax.jacfwd(fast(f))` and
+    `jax.grad(fast(f))` differentiate the program in a form that avoids this. `fast(jax.jacfwd(f))` and
+    `fast(jax.grad(f))` compile the formulas of JAX, and change only those of quotients and powers to that form.
 
     Args:
-        function: takes and gives pytrees of arrays; pure. Left out, `fast` is a decorator with options.
-        static_argnums, static_argnames: arguments that are no arrays, as in `jax.jit`; another value compiles anew.
-        backend: what runs the parts; "auto" is `tx.Native()` where llvmlite is installed, else `tx.XLA()`.
+        function: a pure function of pytrees of arrays. If omitted, `fast` is a decorator with options.
+        static_argnums, static_argnames: arguments that are not arrays, as in `jax.jit`; another value recompiles.
+        backend: the backend of the parts; "auto" is `tx.Native()` where llvmlite is installed, else `tx.XLA()`.
     Raises:
         ModelError: the function cannot be called; another backend.
     """

@@ -64,10 +64,12 @@ class Computed(ABC):
     Attributes:
         results: the shapes and types of the results.
         function: from arguments to results of one member; pure and traceable.
+        exports_kernels: whether exported programs, too, call its kernels, by their names.
     """
 
     results: Any
     function: Any
+    exports_kernels = True
 
     def by_xla(self, arguments: Sequence[Any], batch: Batch, inside: bool, platform: str) -> list[jax.Array]:
         """The computation for XLA on a platform without a kernel, `inside` a small call or not."""
@@ -262,9 +264,7 @@ def _elsewhere(*arguments: Any, program: Computed, batch: Batch, inside: bool) -
 
 def _abstract(*arguments: Any, program: Computed, batch: Batch, inside: bool) -> list[Any]:
     sizes, depth, shared = batch.shape(arguments), batch.depth, batch.shared
-    return [
-        placed_as(shaped_array((*sizes, *shape), dtype), depth, shared, arguments) for shape, dtype in program.results
-    ]
+    return [placed_as(shaped_array((*sizes, *s), dtype), depth, shared, arguments) for s, dtype in program.results]
 
 
 def _jvp(
@@ -338,13 +338,15 @@ def define(primitive: Primitive, run: Callable[..., list[jax.Array]], platforms:
     def lower(function: Callable[..., list[jax.Array]]) -> Callable[..., Any]:
         def lowered(context: Any, *arguments: Any, **params: Any) -> Any:
             # A kernel lives as long as its program: keep that alive with the compiled code, but not in exported code.
-            module = context.module_context
-            if not module.lowering_parameters.for_export:
-                module.add_keepalive(_KeepsAlive(params["program"]))
+            module, program = context.module_context, params["program"]
+            exported = module.lowering_parameters.for_export
+            if not exported:
+                module.add_keepalive(_KeepsAlive(program))
+            chosen = function if program.exports_kernels or not exported else _elsewhere
 
             # JAX caches the trace as long as the function lives: a new function each time.
             def once(*a: Any) -> list[jax.Array]:
-                return function(*a, **params)
+                return chosen(*a, **params)
 
             depth, shared = params["batch"].depth, params["batch"].shared
             run = on_axes(once, depth, shared, context) if depth else None
@@ -372,9 +374,9 @@ def define(primitive: Primitive, run: Callable[..., list[jax.Array]], platforms:
         mlir.register_lowering(primitive, lower(functools.partial(run, platform=platform)), platform=platform)
 
 
-def _jet(primals: Sequence[Any], series: Sequence[Any], *, program: Derived, batch: Batch, inside: bool) -> Any:
-    """Taylor series, from those of the operations on scalars."""
-    function = without_barriers(program.program)
+def _jet(primals: Sequence[Any], series: Sequence[Any], *, program: Any, batch: Batch, inside: bool) -> Any:
+    """Taylor series, from those of the operations."""
+    function = without_barriers(program.program) if isinstance(program, Derived) else program.function
     return jet.jet(
         lambda *arguments: batch.each(function, arguments), tuple(primals), tuple(series), factorial_scaled=False
     )
@@ -390,9 +392,8 @@ def differentiable(
     define(primitive, run, platforms)
     ad.primitive_jvps[primitive] = _jvp
     ad.primitive_transposes[primitive] = _transpose
+    _taylor_rules[primitive] = _jet
 
 
 differentiable(_program_p, _by_xla, ("cpu",))
 differentiable(_native_p)
-for _primitive in (_program_p, _native_p):
-    _taylor_rules[_primitive] = _jet

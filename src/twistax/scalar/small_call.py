@@ -45,6 +45,11 @@ def inside_small_call() -> bool:
     return _INSIDE.get()
 
 
+def joins_program() -> bool:
+    """Whether the present trace becomes part of a small function or of a kernel."""
+    return _INSIDE.get() or _IN_KERNEL.get()
+
+
 @contextlib.contextmanager
 def _setting(variable: contextvars.ContextVar[bool], value: bool) -> Iterator[None]:
     before = variable.set(value)

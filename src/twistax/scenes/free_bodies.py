@@ -21,7 +21,8 @@ def system(inertia: Sequence[float] | tx.Parameter) -> tx.System:
     Outputs, constant in the true motion: energy, J; momentum (3,), in world axes, N m s.
     """
     J: Any = inertia if isinstance(inertia, tx.Parameter) else np.array(inertia, dtype=float)
-    R, w = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,))
+    R = tx.State("R", group=tx.SO3, kind=tx.kinds.Rotation("world", "body"))
+    w = tx.State("w", shape=(3,), kind=tx.FreeVector("body"), unit="rad/s")
     L = J * w
     return tx.System(
         rates={R: w, w: tx.linalg.Cross(L, w) / J}, outputs={"energy": 0.5 * tx.linalg.Dot(w, L), "momentum": R @ L}

@@ -98,10 +98,11 @@ def system(vehicle: Lander | None = None) -> tx.System:
     Outputs, SI and rad: thrust, gimbal, tilt, rate, cone (how far inside the approach cone, m, measured level), mass.
     """
     v = vehicle or Lander()
-    g = tx.State("g", group=tx.SE3, scale=[100.0, 100.0, 100.0, 0.5, 0.5, 0.5])
-    V = tx.State("V", shape=(6,), scale=[50.0, 50.0, 50.0, 0.3, 0.3, 0.3])
-    m = tx.State("m", min=v.dry_mass, scale=3000.0)
-    T = tx.Control("T", shape=(3,), scale=v.max_thrust)
+    pose, twist = tx.kinds.Pose("world", "stage"), tx.Twist("stage", of="stage", relative_to="world")
+    g = tx.State("g", group=tx.SE3, scale=[100.0, 100.0, 100.0, 0.5, 0.5, 0.5], kind=pose)
+    V = tx.State("V", shape=(6,), scale=[50.0, 50.0, 50.0, 0.3, 0.3, 0.3], kind=twist)
+    m = tx.State("m", min=v.dry_mass, scale=3000.0, unit="kg")
+    T = tx.Control("T", shape=(3,), scale=v.max_thrust, kind=tx.FreeVector("stage"), unit="N")
 
     R, p, thrust = g[:3, :3], g[:3, 3], tx.linalg.Norm(T)
     weight = R.T @ np.array([0.0, 0.0, -G0]) * m

@@ -34,8 +34,10 @@ def system(count: int = 4) -> tx.System:
     """
     if count < 2:
         raise tx.InputError(f"spring bodies: count must be 2 or more, got {count!r}")
-    poses = [tx.State(f"g{i + 1}", group=tx.SE3) for i in range(count)]
-    twists = [tx.State(f"V{i + 1}", shape=(6,)) for i in range(count)]
+    bodies = [f"body {i + 1}" for i in range(count)]
+    poses = [tx.State(f"g{i + 1}", group=tx.SE3, kind=tx.kinds.Pose("world", body)) for i, body in enumerate(bodies)]
+    kinds = [tx.Twist(body, of=body, relative_to="world") for body in bodies]
+    twists = [tx.State(f"V{i + 1}", shape=(6,), kind=kind) for i, kind in enumerate(kinds)]
     inertias = [np.array([*3 * (MASSES[i % 3],), *MOMENTS[i % 3]]) for i in range(count)]
     wrenches: list[list[tx.Expr]] = [[] for _ in range(count)]
     energy: tx.Expr = tx.Constant(0.0)

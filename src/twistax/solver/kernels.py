@@ -312,7 +312,7 @@ class _Pending:
         """The function as a program of scalars, made anew.
 
         Raises:
-            ModelError, NotNative: it has no form in scalars.
+            ModelError, NotNative: it has no scalar form.
         """
         with in_double():
             return ScalarForm(native_form(self._maker(self._closed)), self._arguments, numbers)

@@ -15,7 +15,7 @@ from .options import Options
 from .transcription import Transcription
 
 #: Statuses after which the iterate means nothing.
-_LOST = {CoreStatus.NON_FINITE.value, CoreStatus.UNBOUNDED_CURVATURE.value, CoreStatus.UNBOUNDED.value}
+LOST = {CoreStatus.NON_FINITE, CoreStatus.UNBOUNDED_CURVATURE, CoreStatus.UNBOUNDED}
 
 
 class PreparedSolve:
@@ -44,6 +44,8 @@ class PreparedSolve:
         parts = np.split(self._memory, np.cumsum(list(sizes.values()))[:-1])
         self.z, self.v, self.s, self.lam, self.y, self.ye, self.zl, self.zu = parts
         self.lower, self.upper = (np.array(a, float) for a in bounds)
+        size, row_size, equality_size = (None if a is None else np.array(a, float) for a in units[:3])
+        self._units = units = Units(size, row_size, equality_size, units.cost)
         self._described = as_problem(stages, transcription.functions, self.lower, self.upper, units, largest_step)
         self._transcription, problem = transcription, self._described.structure
         self.options = options.as_structure()
@@ -83,11 +85,18 @@ class PreparedSolve:
         else:
             problem.stop, self._deadline = self._stop_address, time.perf_counter() + seconds
         np.copyto(self._before, self._memory)
-        status = self._call(*self._pointers)
-        if status in _LOST:
+        status = CoreStatus(self._call(*self._pointers))
+        if status in LOST:
             np.copyto(self._memory, self._before)
         self._transcription.check()
-        return CoreStatus(status)
+        return status
+
+    def set_units(self, units: Units) -> None:
+        """Solve in other units from now on; the iterate is in those of the problem."""
+        for memory, values in zip(self._units[:3], units[:3]):
+            if memory is not None and values is not None:
+                np.copyto(memory, values)
+        self._described.structure.cost_size = units.cost
 
     def saved(self) -> tuple[Array, Array, Array]:
         """Copies of the iterate and of both bounds."""

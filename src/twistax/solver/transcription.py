@@ -198,7 +198,8 @@ class Transcription:
         for structure in self._structures:
             structure.work = self._array(np.zeros(library().phase_work(ctypes.addressof(structure))))
         self.structure = TranscriptionStructure(len(phases), ctypes.addressof(self._structures))
-        self.functions = StageFunctions(**library().transcribed, user=ctypes.addressof(self.structure), owner=self)
+        addresses: dict[str, Any] = {"user": ctypes.addressof(self.structure), **library().transcribed}
+        self.functions = StageFunctions(owner=self, **addresses)
 
     @property
     def arrays(self) -> dict[int, Array]:

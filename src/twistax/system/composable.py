@@ -31,7 +31,7 @@ class Composable:
         raise AttributeError(name, name=name, obj=self)
 
     def output(self, name: str) -> Expr:
-        """The expression of an output, to be connected to another system by `tx.join`.
+        """The expression of an output, for connections by `tx.join`.
 
         Raises:
             ModelError: no output of that name.
@@ -45,14 +45,15 @@ class Composable:
     def renamed(self, prefix: str, *, keep: Collection[str] = ()) -> Any:
         """The same system with other names: of states, controls, parameters, outputs and constraints.
 
-        What is renamed is another leaf: `left = leg.renamed("left_")` and `right = leg.renamed("right_")` are two legs,
-        which `tx.join` makes one system of.
+        The renamed leaves are new leaves: `left = leg.renamed("left_")` and `right = leg.renamed("right_")` are two
+            legs,
+        which `tx.join` combines.
 
         Args:
-            prefix: what all names begin with.
-            keep: names of controls and parameters that stay, such as that of gravity, to be shared with others.
+            prefix: the prefix of all names.
+            keep: names of controls and parameters that are unchanged, such as that of gravity, and so are shared.
         Raises:
-            ModelError: an empty prefix, or a name in `keep` that is no control and no parameter.
+            ModelError: an empty prefix, or a name in `keep` that is not a control or parameter.
 
         Example: `tx.join(leg.renamed("left_", keep=["g"]), leg.renamed("right_", keep=["g"]))`.
         """

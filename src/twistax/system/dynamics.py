@@ -30,17 +30,17 @@ from .system import System
 class Dynamics:
     """The functions of a system, jitted and differentiable, all with the signature (t, x, u, params).
 
-    x, u and params are dicts by leaf name. u and params may be left out; a missing parameter takes its own value.
-    The result has the precision of x. Made by `compile`.
+    x, u and params are dicts by leaf name. u and params may be omitted; a missing parameter takes its default value.
+    The result has the precision of x. `compile` makes it.
 
     Attributes:
         system: the system as written.
-        states, controls, parameters: its leaves in order; baked parameters are gone.
-        group: the product group of the state; its `slices` say where each state sits in a tangent vector.
+        states, controls, parameters: its leaves in order, without baked parameters.
+        group: the product group of the state; its `slices` have the position of each state in a tangent vector.
         dimension: length of a tangent vector.
-        backend: what runs its functions.
+        backend: the backend of its functions.
         baked: the values of parameters folded into the code, by name.
-        functions: the same functions on prepared arguments, for integrators and other loops around them.
+        functions: the same functions of validated arguments, for integrators and other loops.
     """
 
     def __init__(self, functions: Functions) -> None:
@@ -87,10 +87,10 @@ class Dynamics:
         *,
         wrt: str | Sequence[str] = ("x", "u"),
     ) -> Arrays:
-        """The derivatives of the rates: {"x": (n, n), "u": (n, m)}, what is structurally zero never computed.
+        """The derivatives of the rates: {"x": (n, n), "u": (n, m)}, without computing structural zeros.
 
         Rows are the rates as one tangent vector, states in the order of declaration. Columns of "x" are right
-        perturbations x (+) d, of "u" and "params" the entries of what is given, read row by row in the order of
+        perturbations x (+) d, of "u" and "params" the entries of the arguments in row-major order, in the order of
         declaration. Units are those of the rates over those of the columns. Traceable and differentiable.
 
         Args:
@@ -113,23 +113,24 @@ class Dynamics:
     ) -> jax.Array:
         """The second derivatives of sum_i w_i . f_i, f_i rates, outputs or constraints: a symmetric matrix (N, N).
 
-        Rows and columns follow `wrt`: right perturbations x (+) d of the states, entries of controls and parameters, as
-        the columns of `jacobian`. Entry (j, k) is the derivative of sum_i w_i . f_i(x (+) d, u + du, p + dp) by the
-        tangents j and k at zero, in exponential coordinates. With E_j the derivative along x Exp(s e_j) it is
+        Rows and columns follow `wrt`: right perturbations x (+) d of the states, entries of controls and parameters,
+        like the columns of `jacobian`. Entry (j, k) is the derivative of sum_i w_i . f_i(x (+) d, u + du, p + dp) with
+        respect to the tangents j and k at zero, in exponential coordinates. With E_j the derivative along x Exp(s e_j)
+        it is
 
             $H_jk = (E_j E_k + E_k E_j) / 2 = E_k E_j - [E_k, E_j] / 2$,
 
-        so symmetric: both entries are one number. It computes one of them, and nothing that is structurally zero. Other
-        values of the weights compile nothing. Traceable, batched by vmap and differentiable. Functions that the graph
-        of scalars does not hold are differentiated by JAX. Units are those of w . f over those of both tangents.
+        which is symmetric: only one of both entries is computed, and no structural zeros. Other
+        values of the weights do not recompile. Traceable, batched by vmap and differentiable. JAX differentiates
+        functions without a scalar form. Units are those of w . f over those of both tangents.
 
         Args:
             weights: by name of a state for its rate, of an output or of a constraint; or "inequality" and "equality"
-                for all constraints of a kind. Each has the shape of what it weighs; what is left out weighs zero.
+                for all constraints of a kind. Each has the shape of its quantity; omitted ones have the weight zero.
             wrt: which of "x", "u", "params", a tuple or one name.
         Raises:
-            InputError: as a call of the dynamics; an unknown entry in wrt; a weight of nothing that the system has, of
-                two things at once, or of another shape.
+            InputError: as a call of the dynamics; an unknown entry in wrt; a weight with an unknown or ambiguous name,
+                or of another shape.
 
         Source: the Taylor series $f(x Exp(d)) = sum_n (sum_j d_j E_j)^n f / n!$; Helgason, Differential Geometry, Lie
         Groups, and Symmetric Spaces (1978), ch. II.
@@ -140,23 +141,23 @@ class Dynamics:
     def hessian_pattern(
         self, weights: str | Iterable[str], *, wrt: str | Sequence[str] = ("x", "u")
     ) -> NDArray[np.bool_]:
-        """Where `hessian` may differ from zero, (N, N), if all controls and parameters that are read are given.
+        """The sparsity pattern of `hessian`, (N, N), if all controls and parameters are passed.
 
         Args:
             weights: the names that have weights, as in `hessian`.
         Raises:
             InputError: as `hessian`.
-            ModelError: it takes too many scalars, or calls what only JAX can differentiate.
+            ModelError: it takes too many scalars, or calls functions that only JAX can differentiate.
         """
         return hessian_pattern(self.functions, weights, (wrt,) if isinstance(wrt, str) else tuple(wrt))
 
     def project(self, t: Any, x: Values, u: Values | None = None, params: Values | None = None) -> Arrays:
-        """The state near x that the system's corrections leave where it is: on its manifold, with closed loops.
+        """A state near x that the system's corrections do not change: on its constraint manifold, with closed loops.
 
-        Newton's method, in steps x (+) correction. Not traceable.
+        Newton's method with steps x (+) correction. Not traceable.
 
         Raises:
-            InputError: what a call raises; no such state is found from here.
+            InputError: the errors of a call; the iteration does not converge from x.
             ModelError: the system has no corrections.
         """
         if not self.system.corrections:
@@ -184,15 +185,15 @@ class Dynamics:
     def explain(self, *, kinds: Literal[True]) -> KindsExplanation: ...
 
     def explain(self, of: str | None = None, *, kinds: bool = False) -> Explanation | Dependence | KindsExplanation:
-        """What is computed, what was left out, and the counts before and after. Compiles the rates once to time it.
+        """A report on the computation, its simplifications, and operation counts. Compiles the rates once to time it.
 
         Args:
-            of: a rate or an output, "V", or one entry of it, "V[3]", "speed": what it depends on instead.
-            kinds: the kinds, frames and units of leaves, rates and outputs instead, and which are open.
+            of: a rate or an output, "V", or one entry of it, "V[3]", "speed": reports its dependencies instead.
+            kinds: reports the kinds, frames and units of leaves, rates and outputs instead, and which are unknown.
         Raises:
             InputError: no rate and no output of that name, or no such entry.
-            ModelError: the rates, or what was asked for, take too many scalars to count.
-            KindError: values do not fit each other, where no leaf declares anything.
+            ModelError: the rates, or the requested quantity, take too many scalars to count.
+            KindError: kinds or units are inconsistent, where no leaf declares any.
         """
         if kinds:
             return explain_kinds(self.system)
@@ -212,29 +213,29 @@ class Dynamics:
         points: Sequence[Sequence[Any]] | None = None,
         tolerance: float | None = None,
     ) -> CFiles:
-        """Write C99 code: `name.h`, which tells the call convention, `name.c`, and `name_test.c` with reference values.
+        """Write C99 code: `name.h` with the calling convention, `name.c`, and `name_test.c` with reference values.
 
-        The rates, and the outputs and constraints where there are any, are functions `name_rates`, `name_outputs`,
-        `name_constraints`; `name_jacobian` gives the derivatives of the rates as `jacobian` does. They allocate nothing
-        and need libm only. Files of those names that an earlier call wrote are replaced.
+        The rates, and the outputs and constraints if there are any, are functions `name_rates`, `name_outputs`,
+        `name_constraints`; `name_jacobian` returns the derivatives of the rates as `jacobian` does. They allocate no
+        memory and need libm only. Files of those names from an earlier call are replaced.
 
         Args:
-            directory: where to; made if it is not there.
-            name: of the files, and what the names of all functions begin with.
+            directory: the folder of the files, which is created if missing.
+            name: the name of the files, and the prefix of all functions.
             dtype: float64 or float32, the numbers of the code, whatever JAX's x64 switch says.
-            jacobian: which of "x", "u", "params" to differentiate by; () for no derivatives.
+            jacobian: the arguments of derivatives, of "x", "u", "params"; () for no derivatives.
             steps: an explicit method of integration, such as `tx.RKMK(tx.tableaus.RK4)`. Then `name_step` gives the
-                states $x Exp(eta)$ after a step of length h, as `tx.integrate` takes it, with constant controls, and
-                `name_simulate` those after n steps.
+                states $x Exp(eta)$ after a step of length h, equal to those of `tx.integrate`, with constant controls,
+                and `name_simulate` those after n steps.
             checked: keep 0 x, 0 / x and x - x in the values, as `tx.XLA(checked=True)` does.
-            points: where the test main compares: (t, x, u, params) each; drawn at random if left out.
-            tolerance: of that comparison, relative to the largest entry of a function; 1e-10, or 1e-4 for float32.
+            points: points of the test program, (t, x, u, params) each; random by default.
+            tolerance: of its comparison, relative to the largest entry of a function; 1e-10, or 1e-4 for float32.
         Returns:
             The paths: `header`, `source`, `test`.
         Raises:
-            ModelError: a part has no form in scalars, as steps of implicit methods; two names become one in C; `steps`
-                is no method.
-            InputError: a name or type that C has not; the directory cannot be written to, or holds other files of
+            ModelError: a part has no scalar form, such as steps of implicit methods; two names are equal in C; `steps`
+                is not a method.
+            InputError: a name or type that C does not have; the directory cannot be written to, or has other files of
                 those names.
         """
         from .export.c99 import write_c
@@ -256,19 +257,20 @@ class Dynamics:
     ) -> Any:
         """A `casadi.Function` in SX: t, then states, controls and parameters by name -> `rate_` and the state's name.
 
-        Vectors are columns, matrices stay matrices, arrays of more axes are a column of their entries row by row; what
-        is structurally zero is so for CasADi too. Arguments that a call leaves out are NaN, except a scalar
-        parameter with a value of its own; bake the others to have them inside. The same holds for `jacobian()` of the
-        function; others that CasADi derives, by `factory` or twice, take zero. CasADi differentiates by entries: of a
-        pose by its 16, not by tangents. Its max and min do not pass NaN on.
+        Vectors are columns, matrices stay matrices, arrays of more axes are a column of their entries in row-major
+        order. Structural zeros are sparse in CasADi too. Results that depend on omitted arguments are NaN, except for a
+        scalar parameter with a default value; bake other parameters to include them. The same applies to `jacobian()`
+        of the function; in other functions that CasADi derives, by `factory` or by differentiating twice, omitted
+        arguments are zero. CasADi differentiates a pose with respect to its 16 entries, not to tangents. Its max and
+        min drop NaN.
 
         Args:
-            families: one or more of "rates", "outputs", "constraints"; results of the latter two are called as in
-                the system, and "inequality" and "equality".
+            families: one or more of "rates", "outputs", "constraints"; results of outputs have the names of the system,
+                those of constraints are "inequality" and "equality".
             name: of the function.
             checked: keep 0 x, 0 / x and x - x, as `tx.XLA(checked=True)` does.
         Raises:
-            ModelError: CasADi is not installed (extra `twistax[casadi]`); a part has no form in scalars; two arrays of
+            ModelError: CasADi is not installed (extra `twistax[casadi]`); a part has no scalar form; two arrays have
                 one name.
             InputError: a name that CasADi does not allow.
         """
@@ -276,13 +278,50 @@ class Dynamics:
 
         return to_casadi(self.functions, families, name, checked)
 
-    def save(self, path: str | Path) -> None:
-        """Write the system to a file, from which `tx.load` gives it back, compiled as it was.
+    def to_fmu(
+        self,
+        path: str | Path,
+        x0: Values | None = None,
+        u: Values | None = None,
+        params: Values | None = None,
+        *,
+        steps: Any = None,
+        dt: float = 1e-3,
+        compiler: str | None = "cc",
+    ) -> Path:
+        """Write a functional mock-up unit, FMI 3.0: model exchange with directional derivatives, and co-simulation.
 
-        Saved are the expressions, the leaves with their bounds, guesses and values, and the options of `tx.compile`.
+        Its variables are states, controls, parameters and outputs, by the names of tables of solutions, with the units
+        that leaves declare. A pose is exchanged as position and unit quaternion (w, x, y, z), a rotation as quaternion.
+
+        Args:
+            path: of the file, `name.fmu`.
+            x0, u, params: values at the start, which the importer may change; what is left out starts as its leaf says
+                by `initial`, `guess` or `value`, else at zero or the identity.
+            steps: an explicit method for co-simulation, such as `tx.RKMK(tx.tableaus.RK4)`; none: model exchange alone.
+            dt: the longest internal step of co-simulation, s.
+            compiler: a C compiler of this machine; None: sources alone.
+        Returns:
+            The path.
+        Raises:
+            ModelError: a part has no form in scalars; `steps` is no method; a parameter has no value; no such compiler.
+            InputError: values of other names or shapes, or not finite; a path that cannot be written.
+
+        Source: Functional Mock-up Interface Specification 3.0.1 (Modelica Association, 2023).
+        """
+        from .fmu.archive import write_unit
+
+        advance = None if steps is None else steps_of(self, steps)
+        return write_unit(self.functions, path, x0, u, params, advance=advance, dt=dt, compiler=compiler)
+
+    def save(self, path: str | Path) -> None:
+        """Write the system to a file, from which `tx.load` restores it, compiled with the same options.
+
+        The file contains the expressions, the leaves with their bounds, guesses and values, and the options of
+        `tx.compile`.
 
         Raises:
-            ModelError: a node has a field that is no number, text, array or value of twistax.
+            ModelError: a node has a field that is not a number, text, array or value of twistax.
             InputError: the file cannot be written.
         """
         from .export.saved import save
@@ -299,14 +338,14 @@ def compile(
 ) -> Dynamics:
     """Compile a system to jitted, differentiable functions.
 
-    Only what is asked for is lowered: rates, outputs and constraints are separate functions, traced when first called.
+    Rates, outputs and constraints are separate functions, each traced at its first call.
 
     Args:
-        outputs: names of the outputs to keep; all if left out.
-        bake: parameters to fold into the code, name -> value; they are no inputs any more.
-        backend: what runs the functions. `tx.XLA()` makes scalars of large ones; `tx.Native()` compiles kernels by
-            llvmlite; `tx.JAX()` runs everything as written, in small arrays. "auto" is `tx.XLA()`, and where llvmlite
-            is installed native kernels for the large functions and the steps of explicit methods.
+        outputs: names of the outputs to keep; all by default.
+        bake: parameters to fold into the code, name -> value; they are no longer inputs.
+        backend: the backend of the functions. `tx.XLA()` makes scalar programs of large ones; `tx.Native()` compiles
+            kernels by llvmlite; `tx.JAX()` runs everything as written, on small arrays. "auto" is `tx.XLA()`, with
+            native kernels for large functions and steps of explicit methods where llvmlite is installed.
     Raises:
         ModelError: an unknown output or parameter; another backend.
         ShapeError: a baked value of the wrong shape.
@@ -322,16 +361,17 @@ def compile(
 def load(path: str | Path, *, backend: Backend | Literal["auto"] | None = None) -> Dynamics:
     """A compiled system from a file that `Dynamics.save` wrote.
 
-    Its expressions have the keys they had, and its functions give the same numbers on the same machine, to the last
-    bit. Nothing in a file is run. Nodes, groups and backends of your own are found by the names of their module and
-    class: import what defines them first.
+    Its expressions have the same keys as before, and its functions give the same numbers on the same machine, to the
+    last bit. Nothing in a file is executed. Nodes, groups and backends of your own are found by the names of their
+    module and
+    class: import their modules first.
 
     Args:
-        backend: another one than it was compiled with.
+        backend: another backend than that of the file.
     Raises:
-        InputError: no such file, no file of this kind, a damaged one, or one of another format; it names the path and
+        InputError: the file does not exist, has another type or format, or is damaged; it names the path and
             the versions.
-        ModelError: a class that is not known here, or that has changed since.
+        ModelError: a class that is unknown, or that has changed since.
     """
     from .export.saved import read
 
@@ -347,8 +387,12 @@ def steps_of(dynamics: Dynamics, method: Any) -> Callable[..., Arrays]:
     """
     step = getattr(method, "step_in_arrays", None)
     if isinstance(method, type) or step is None:
-        raise ModelError(f"to_c: steps expects a method such as tx.RKMK(tx.tableaus.RK4), got {method!r}")
+        raise ModelError(f"steps expects a method such as tx.RKMK(tx.tableaus.RK4), got {method!r}")
     method.check(dynamics)
+    if dynamics.system.corrections:
+        raise ModelError(
+            "steps: C has no form of the corrections that systems with loops need.\n  fix: leave steps out"
+        )
     return functools.partial(step, dynamics)
 
 

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from ..checks import listed
 from ..errors import InputError, ModelError
-from ..expr import Constant, Expr, Inputs, evaluate_all, infer_kinds, leaves_of, postorder
+from ..expr import Constant, Expr, Inputs, evaluate_all, leaves_of, postorder
+from ..expr.kinds.inference import infer_kinds
 from ..jax_inside import all_equations, inner_jaxprs
 from ..scalar.backends import array_operations
 from ..scalar.graph import TooLarge
@@ -136,19 +137,35 @@ class Dependence:
 
 @dataclasses.dataclass(frozen=True)
 class KindsExplanation:
-    """What is known of kinds, frames and units: declared by leaves, inferred from operators, or open. Print it.
+    """What is known of kinds, frames and units: declared, inferred from operators, or open. Print it.
 
     Attributes:
         leaves, rates, outputs: name -> what is known of the value.
+        of_kind: "states", "controls" and "parameters" -> names, in order.
+        declared: the names of the leaves that declare something themselves.
+        open: the names of leaves of which nothing is known, then of rates and outputs, such as "rate of q".
     """
 
     leaves: dict[str, str]
     rates: dict[str, str]
     outputs: dict[str, str]
+    of_kind: dict[str, list[str]]
+    declared: list[str]
+    open: list[str]
 
     def __str__(self) -> str:
-        families = (("", self.leaves), ("rate of ", self.rates), ("output ", self.outputs))
-        return "\n".join(f"{what}{name}: {text}" for what, values in families for name, text in values.items())
+        families = {kind: {name: self.leaves[name] for name in names} for kind, names in self.of_kind.items()}
+        families |= {"rates": self.rates, "outputs": self.outputs}
+        width = max(len(name) for values in families.values() for name in values)
+        lines = []
+        for family, values in families.items():
+            lines += [family] if values else []
+            for name, text in values.items():
+                origin = "  (declared)" if name in self.declared and family in self.of_kind else ""
+                lines.append(f"  {name:{width}s}  {text}{origin}")
+        if self.open:
+            lines.append(f"nothing is known of: {', '.join(self.open)}")
+        return "\n".join(lines)
 
 
 def explain_kinds(system: System) -> KindsExplanation:
@@ -158,12 +175,20 @@ def explain_kinds(system: System) -> KindsExplanation:
         **{f"outputs[{name!r}]": expr for name, expr in system.outputs.items()},
         **{f"constraints[{name!r}]": expr for name, expr in system.constraints.items()},
     }
-    leaves = (*system.states, *system.controls, *system.parameters)
+    of_kind = {"states": system.states, "controls": system.controls, "parameters": system.parameters}
+    leaves = [leaf for of_one in of_kind.values() for leaf in of_one]
     known = infer_kinds(roots, {state: system.rates[state.name] for state in system.states}, leaves)
+    named: dict[str, dict[str, Expr]] = {"": {leaf.name: leaf for leaf in leaves}}
+    named |= {"rate of ": system.rates, "output ": system.outputs}
+    texts = ({name: known.description(expr) for name, expr in exprs.items()} for exprs in named.values())
+    of_leaves, of_rates, of_outputs = texts
     return KindsExplanation(
-        leaves={leaf.name: known.description(leaf) for leaf in leaves},
-        rates={name: known.description(rate) for name, rate in system.rates.items()},
-        outputs={name: known.description(expr) for name, expr in system.outputs.items()},
+        of_leaves,
+        of_rates,
+        of_outputs,
+        of_kind={kind: [leaf.name for leaf in of_one] for kind, of_one in of_kind.items()},
+        declared=[leaf.name for leaf in leaves if leaf.declares],
+        open=[what + name for what, exprs in named.items() for name, e in exprs.items() if not known.knows(e)],
     )
 
 

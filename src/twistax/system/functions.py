@@ -14,17 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..errors import InputError
-from ..expr import (
-    Control,
-    Equality,
-    Expr,
-    Inputs,
-    Parameter,
-    State,
-    evaluate_all,
-    leaves_of,
-    postorder,
-)
+from ..expr import Control, Equality, Expr, Inputs, Parameter, State, evaluate_all, leaves_of, postorder
 from ..expr.functions.function import Call
 from ..jax_inside import is_traced
 from ..progress import say_once, watched
@@ -36,6 +26,7 @@ from ..scalar.walk import uncollected
 from .expressions import canonical, chosen_outputs, constants_of, silent
 from .inputs import CallArguments, Values
 from .jacobian import Differentiated, Places, RateJacobian, blocks_in_arrays, fewer
+from .repeat import copies_in_a_kernel
 from .system import System, entry_names
 
 Arrays = dict[str, jax.Array]
@@ -248,11 +239,14 @@ class Functions:
         backend = self.backend.in_loops() if in_loop else self.backend
 
         def make() -> tuple[Emission, Any]:
-            written = jax.make_jaxpr(lambda *arguments: self.as_written(family, *arguments), return_shape=True)
-            shapes = list(itertools.starmap(jax.ShapeDtypeStruct, types))
-            closed, shape = written(*jax.tree.unflatten(structure, shapes))
-            places = jax.tree.unflatten(structure, range(len(types)))
-            return backend.emit(closed, jax.tree.leaves(places[3])), jax.tree.structure(shape)
+            def traced() -> tuple[Any, Any]:
+                written = jax.make_jaxpr(lambda *arguments: self.as_written(family, *arguments), return_shape=True)
+                return written(*jax.tree.unflatten(structure, list(itertools.starmap(jax.ShapeDtypeStruct, types))))
+
+            closed, shape = traced()
+            emission = backend.emit(closed, jax.tree.leaves(jax.tree.unflatten(structure, range(len(types)))[3]))
+            emission = copies_in_a_kernel(emission, self.backend, self.families[family], traced)
+            return emission, jax.tree.structure(shape)
 
         return self._made.get((backend, family, structure, types), make)
 

@@ -24,27 +24,27 @@ def join(
     outputs: Mapping[str, ExprLike] | None = None,
     constraints: Mapping[str, Asked] | None = None,
 ) -> System:
-    """One system of several, in which expressions of some take the place of controls and parameters of others.
+    """One system made of several, in which expressions of some systems replace controls and parameters of others.
 
     With $x_i' = f_i(x_i, u_i)$ and a connection $u_2 = h(x_1, u_1)$ it is $x_1' = f_1(x_1, u_1)$,
     $x_2' = f_2(x_2, h(x_1, u_1))$. States, controls, parameters, outputs and constraints are those of the systems in
-    order, but for the controls and parameters that are connected. The limits of a connected control become constraints.
-    It is a system like any other: for problems, integrators, `renamed` and further joins.
+    order, without the connected controls and parameters. The limits of a connected control become constraints.
+    The result can be used like any other system: in problems, integrators, `renamed` and further joins.
 
     Args:
-        systems: their names differ; a control or parameter that is one object in several of them is shared.
-        connect: controls and parameters, by leaf or name, with the expressions that take their places, of their shape,
-            such as `{tug.force: engine.output("thrust")}`. These may read everything in the systems, connected
-            controls too.
-        outputs: further ones, of states and leaves of all systems.
-        constraints: further ones by name.
+        systems: with different names; a control or parameter that is the same object in several of them is shared.
+        connect: controls and parameters, by leaf or name, with the expressions of their shape that replace them,
+            such as `{tug.force: engine.output("thrust")}`. These may depend on everything in the systems, including
+            connected controls.
+        outputs: additional outputs, of states and leaves of all systems.
+        constraints: additional constraints by name.
     Raises:
-        ModelError: a name in two systems; a connection of what is no control and no parameter; connections that read
-            each other in a circle, an algebraic loop, which is named.
-        ShapeError: an expression of another shape than what it is connected to.
+        ModelError: a name in two systems; a connection to a leaf that is not a control or parameter; circular
+            connections, an algebraic loop, which is named.
+        ShapeError: an expression of another shape than the leaf that it replaces.
 
-    An expression must have the unit of what it is connected to. Source: P. Fritzson, Principles of Object-Oriented
-    Modeling and Simulation with Modelica (2014), ch. 3, of connections with a direction.
+    An expression must have the unit of the leaf that it replaces. Source: P. Fritzson, Principles of Object-Oriented
+    Modeling and Simulation with Modelica (2014), ch. 3, on directed connections.
 
     Example: `tx.join(engine, body, connect={body.F: engine.output("thrust")})`.
     """

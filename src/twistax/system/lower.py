@@ -28,20 +28,20 @@ _COMPILED = range(200, 20_000)
 def lower(expr: Any) -> Lowered:
     """Turn an expression, or a tuple, list or dict of them, into a function `f(t, x, u, params)`.
 
-    The function is pure and untransformed: jit, grad, jacfwd, jacrev, hessian, vmap and scan apply. Called outside of
-    them, an expression of 200 nodes and more is compiled at its first call, smaller ones run node by node. x, u and
-    params are dicts by leaf name; u and params may be left out, missing parameters take their own value. x may have
-    states that the expression does not read, such as all of a mechanism. Every distinct subtree is evaluated once.
-    Precision is that of x.
+    The function is pure and not transformed: jit, grad, jacfwd, jacrev, hessian, vmap and scan apply. Outside of
+    these, an expression of 200 nodes and more is compiled at its first call; smaller ones are evaluated node by node.
+    x, u and params are dicts by leaf name; u and params may be omitted, and missing parameters take their default
+    value. x may have states that the expression does not depend on. Every distinct subtree is evaluated once.
+    The result has the precision of x.
 
     Returns:
         f(t, x, u=None, params=None) -> array, or a tuple, list or dict of arrays like `expr`.
 
     Raises:
-        ShapeError: at once, if a shape does not fit.
-        ModelError: at once, if there is nothing to lower, or two leaves of one name differ.
+        ShapeError: immediately, if a shape does not match.
+        ModelError: immediately, if there is nothing to lower, or two leaves of one name differ.
         InputError: at call time, for an unknown control or parameter, a wrong shape or a missing value.
-        ModelError: when it is traced, for a chain of more than 30,000 array operations, on which XLA ends the process.
+        ModelError: during tracing, for a chain of more than 30,000 array operations, on which XLA ends the process.
     """
     wanted = "lower expects an expression, or a tuple, list or dict of them"
     if isinstance(expr, System):

@@ -3,35 +3,42 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+import functools
+import itertools
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from ..checks import listed, short, whole
 from ..errors import ModelError
-from ..expr import Concat, Control, Expr, Leaf, Parameter, Reshaped, State, Vmap, leaves_of, substitute
+from ..expr import Concat, Control, Expr, Leaf, Parameter, Reshaped, State, Vmap, leaves_of, postorder, substitute
 from ..expr.operations.soft import Soft
+from ..expr.transformations.vmap import elements_by
 from ..groups.power import Power
+from ..scalar.backends import JAX, Backend, Emission
+from ..scalar.fast import fast
+from ..scalar.targets.llvm.backend import Native, installed
 from .composable import named_leaves
 from .system import System
 
 
 def repeat(system: Any, count: Any, *, shared: Any = (), per_copy: Any = ()) -> System:
-    """A fleet: n copies of a system that do not act on each other, as arrays with a leading axis n.
+    """A fleet: n copies of a system without interaction, as arrays with a leading axis n.
 
-    $x_k' = f(t, x_k, u_k, p)$ for k = 0, ..., n - 1. States and controls of shape s become (n, *s), states on a group G
-    elements of $G^n$, (n, *shape), whose rates are the body velocities one after the other, (n d,). Outputs and
-    constraints have the leading axis too. The rates are one batch of one function: the program has the length of that
-    of one copy. Names stay; `tx.join` connects a fleet to others, with entries such as `fleet.p[2]`.
+    $x_k' = f(t, x_k, u_k, p)$ for k = 0, ..., n - 1. States and controls of shape s become (n, *s). States on a group G
+    become elements of $G^n$, (n, *shape), whose rates are the concatenated body velocities, (n d,). Outputs and
+    constraints have the leading axis too. The rates are one batched function: the program has the length of that
+    of one copy. Names are unchanged; `tx.join` connects a fleet to others, with entries such as `fleet.p[2]`.
 
     Args:
-        system: of one copy.
-        count: how many copies, n.
+        system: the system of one copy.
+        count: the number of copies, n.
         shared: names of controls that all copies have in common.
-        per_copy: names of parameters of which each copy has one, (n, *s); others are common to all.
+        per_copy: names of parameters that are separate for each copy, (n, *s); others are common to all.
     Raises:
-        ModelError: a count below one; a name in `shared` that is no control, or in `per_copy` that is no parameter.
+        ModelError: a count below one; a name in `shared` that is not a control, or in `per_copy` that is not a
+            parameter.
 
     Units are those of the system. Source: R. Frostig, M. Johnson, C. Leary, Compiling machine learning programs via
     high-level tracing (2018), of functions mapped over a leading axis.
@@ -74,7 +81,7 @@ class _Fleet:
     def leaf(self, leaf: Leaf) -> Any:
         return self.leaves[leaf.name][1] if leaf.name in self.leaves else leaf
 
-    def copies(self, expr: Expr) -> Expr:
+    def copies(self, expr: Expr) -> Any:
         """An expression of one copy for all of them, (n, *shape)."""
         pairs = list(self.leaves.values())
 
@@ -82,8 +89,7 @@ class _Fleet:
             keys = (leaf.key() for leaf, _ in pairs)
             return substitute(expr, dict(zip(keys, elements, strict=True)))
 
-        result: Expr = Vmap(one, [many for _, many in pairs])
-        return result
+        return Vmap(one, [many for _, many in pairs])
 
     def constraint(self, constraint: Any) -> Any:
         if not isinstance(constraint, Soft):
@@ -101,7 +107,7 @@ def _tangents(fleet: _Fleet, states: Any, exprs: Mapping[str, Expr]) -> dict[Any
     """Rates or corrections of all copies: one batch of all of them, of which each state takes its columns."""
     if not states:
         return {}
-    columns = fleet.copies(Concat(*(_flat(exprs[state.name]) for state in states)))
+    columns = fleet.copies(Concat(*(_flat(exprs[state.name]) for state in states))).of_copies()
     result, start = dict[Any, Expr](), 0
     for state in states:
         end, many = start + state.group.dimension, fleet.leaf(state)
@@ -139,3 +145,24 @@ def _many(leaf: Any, count: int) -> Leaf:
         return State(leaf.name, (count, *leaf.shape), **ends, **options)
     scale = None if leaf.scale is None else np.tile(leaf.scale, count)
     return State(leaf.name, group=Power(leaf.group, count), scale=scale, **ends)
+
+
+def copies_in_a_kernel(
+    emission: Emission, backend: Backend, roots: Mapping[str, Sequence[Expr]], traced: Callable[[], tuple[Any, Any]]
+) -> Emission:
+    """How expressions run that would run as arrays: each batch of copies in them as a batch of one kernel.
+
+    Args:
+        emission: how the whole of them would run by the backend.
+        roots: the expressions by name.
+        traced: gives their function, traced anew, and the structure of its results.
+    """
+    if emission.program is not None or not isinstance(backend, Native) or not installed():
+        return emission
+    nodes = postorder(*itertools.chain.from_iterable(roots.values()))
+    if not any(isinstance(node, Vmap) and node.copies for node in nodes):
+        return emission
+    # One copy has a kernel also where it would be too small for one alone.
+    of_one = backend if type(backend) is Native else Native(threads=backend.threads)
+    with elements_by(functools.partial(fast, backend=of_one)):
+        return dataclasses.replace(JAX().emit(traced()[0]), reason="a batch of one kernel for all copies")

@@ -19,10 +19,11 @@ from ..expr import (
     Noise,
     Parameter,
     State,
-    check_kinds,
     check_orders,
+    declares,
     find_path,
     leaves_of,
+    postorder,
     refuse_conditions,
     to_expr,
 )
@@ -47,18 +48,18 @@ class System(Composable):
     """Dynamics $x' = f(t, x, u, p)$ on a product of Lie groups, with outputs and constraints.
 
     Args:
-        rates: the rate of every state; keys are the states or their names, in the order tangent vectors shall have.
-            The rate of a group-valued state is its body velocity, (3,) or (6,); of another state, of its shape.
-        outputs: named expressions to be computed on demand.
+        rates: the rate of every state; keys are the states or their names, in the order of tangent vectors.
+            The rate of a group-valued state is its body velocity, (3,) or (6,); that of another state has its shape.
+        outputs: named expressions that are computed on demand.
         constraints: constraints (`a <= b`, `a >= b`, `a == b`) or `Soft` ones: one, a list, or a mapping from names.
-        corrections: of states that the exact motion keeps on a manifold, such as one of closed loops: what to add to
-            bring them back, one step of Newton's; keys and shapes as of rates. `tx.integrate` adds them after every
-            step, `Dynamics.project` until they vanish.
-        controls, parameters: declare them to fix their order or to keep unused ones; otherwise they are found.
+        corrections: for states that the exact motion keeps on a manifold, such as one of closed loops: the increment
+            that projects them back, one Newton step; keys and shapes as of rates. `tx.integrate` adds it after every
+            step, `Dynamics.project` iterates it.
+        controls, parameters: declare them to fix their order or to keep unused ones; by default they are collected.
         labels: of states and controls, a pair of name and unit for each entry.
-        slopes: derivatives of rates that are known, for `Dynamics.jacobian`: of a state, pairs (argument, derivative).
-            The argument is a state, whose derivative is by right perturbations, or any vector; what depends on states
-            and controls in no other way is not differentiated again.
+        slopes: analytical derivatives of rates, for `Dynamics.jacobian`: for a state, pairs (argument, derivative).
+            The argument is a state, whose derivative is by right perturbations, or any vector; a dependence through
+            this argument is not differentiated again.
 
     Attributes:
         states, controls, parameters, noises: tuples of leaves in order.
@@ -71,7 +72,7 @@ class System(Composable):
         ModelError: a missing, unknown, duplicate or undeclared name; leaves of one name that differ; no expression.
         ShapeError: a rate of the wrong shape, or a shape that does not fit inside an expression.
         OrderError: a [v; w] quantity meets a [w; v] one.
-        KindError: values that must agree differ in kind, frame or unit, as leaves declare them.
+        KindError: values that must agree differ in their declared kind, frame or unit.
     """
 
     noises: tuple[Noise, ...] = ()  # for pickles of earlier versions
@@ -97,7 +98,7 @@ class System(Composable):
             raise ModelError(f"outputs must be a dict from names to expressions, got the name {name!r}")
         expressions = {key: _expression(f"rates[{name_of(key)!r}]", rate) for key, rate in rates.items()}
         self.outputs: dict[str, Expr] = {n: _expression(f"outputs[{n!r}]", e) for n, e in (outputs or {}).items()}
-        named = _named_constraints(constraints)
+        named = constraints_by_name(constraints)
         self.soft = {name: constraint for name, constraint in named.items() if isinstance(constraint, Soft)}
         self.constraints: dict[str, Constraint] = {name: hard(constraint) for name, constraint in named.items()}
         if corrections is not None and not isinstance(corrections, Mapping):
@@ -111,7 +112,8 @@ class System(Composable):
             **{f"outputs[{name!r}]": expr for name, expr in self.outputs.items()},
             **{f"constraints[{name!r}]": expr for name, expr in self.constraints.items()},
         }
-        no_elements(leaves := list(leaves_of(*self._roots.values())))
+        nodes = postorder(*self._roots.values())
+        no_elements(leaves := [node for node in nodes if isinstance(node, Leaf)])
         for leaf in leaves:
             leaf.check_in_system()
         used = [leaf for leaf in leaves if isinstance(leaf, (State, Control, Parameter, Noise))]
@@ -128,7 +130,10 @@ class System(Composable):
         self.labels = checked_labels(labels, (*self.states, *self.controls))
         rate_of = {state: self.rates[state.name] for state in self.states}
         check_orders(self._roots, rate_of)
-        check_kinds(self._roots, rate_of, leaves)
+        if any(map(declares, (*self.states, *nodes))):
+            from ..expr.kinds.inference import infer_kinds  # most systems do without
+
+            infer_kinds(self._roots, rate_of, [*self.states, *leaves], nodes)
 
     def __repr__(self) -> str:
         kinds = ("states", "controls", "parameters")
@@ -314,7 +319,8 @@ def free_name(text: str, taken: Container[str]) -> str:
     return next(name for name in numbered if name not in taken)
 
 
-def _named_constraints(constraints: Asked | Iterable[Asked] | Mapping[str, Asked]) -> dict[str, Asked]:
+def constraints_by_name(constraints: Asked | Iterable[Asked] | Mapping[str, Asked]) -> dict[str, Asked]:
+    """Constraints with names: their own, or their texts. Raises ModelError for what is no constraint."""
     if isinstance(constraints, Mapping):
         named = dict(constraints)
     elif not isinstance(constraints, (Iterable, Soft)):

@@ -28,21 +28,21 @@ _DRIFT, _ROUND_OFF = 1e-3, 1e-8
 
 
 def check_group(group: Group, *, seed: int = 0) -> None:
-    """Check that a group satisfies the laws on which states, integrators and optimisers rely, in a few seconds.
+    """Check that a group satisfies the laws on which states, integrators and optimisers rely; takes a few seconds.
 
-    Checked are values, shapes and precision; $g e = g$, inverses and products; $Log(Exp(d)) = d$, $Exp(Log(g)) = g$;
+    It checks values, shapes and precision; $g e = g$, inverses and products; $Log(Exp(d)) = d$, $Exp(Log(g)) = g$;
     $g Exp(d) g^-1 = Exp(Ad_g d)$, $Ad_Exp(d) = exp(ad_d)$; the Jacobians by their series and by $Exp(d + e) =
-    Exp(J_l e) Exp(d) = Exp(d) Exp(J_r e)$, and their inverses; retraction and difference; that elements which drifted
-    are noticed and repaired; the parts and their units; first and second derivatives, forward, reverse and by
-    differences. Tangents (n,) are zero, tiny, of size 1 and half a turn long; in single precision lengths are 7e6 m
-    too, and every map may be off by 100 round-offs of its size.
+    Exp(J_l e) Exp(d) = Exp(d) Exp(J_r e)$, and their inverses; retraction and difference; that drifted elements
+    are detected and normalised; the parts and their units; first and second derivatives, forward, reverse and by
+    finite differences. Tangents (n,) are zero, tiny, of size 1 and half a turn long; in single precision also lengths
+    of 7e6 m. The error of every map may be up to 100 round-offs of its size.
 
     Args:
         group: an instance, such as `MyGroup()`.
         seed: of the random numbers.
     Raises:
-        LawError: a law does not hold. The message names it, the values and what to look at.
-        InputError: `group` is no group.
+        LawError: a law is violated. The message names it, the values and the likely cause.
+        InputError: `group` is not a group.
     Source: J. Sola, J. Deray, D. Atchuthan, A micro Lie theory for state estimation in robotics (2018).
     Example: `tx.testing.check_group(tx.SE3)`.
     """

@@ -24,22 +24,23 @@ _FAR = 7e6
 
 
 def check_joint(joint: Joint, *, at_zero: Any = None, seed: int = 0) -> None:
-    """Check that a joint satisfies the laws on which mechanisms rely: its pose and its motion subspace belong together.
+    """Check that a joint satisfies the laws on which mechanisms rely: its pose must agree with its motion subspace.
 
-    Checked are shapes; that $T_pc$ is a pose, and the identity where the position is zero; $T_pc' = T_pc hat(H v)$, by
+    It checks shapes; that $T_pc$ is a pose, and the identity where the position is zero; $T_pc' = T_pc hat(H v)$, by
     derivatives and by differences of poses; that H is constant in the child, so that the twist changes by $H v'$ alone;
-    of one freedom $T_pc(q) = T_pc(0) exp(q hat(H))$; $h*^T H = I$, $H^T Hbar* = 0$ and that both are a basis of all
-    wrenches, in every frame, so that power is $F . H v = tau . v$ in W; that `velocity_of` undoes `rate`; that springs
-    feel nothing at zero, and the velocity beside it; derivatives forward and reverse; and single precision, with slides
-    of 7e6 m. Positions are zero, tiny, of size 1, beside half a turn and some turns away.
+    for one freedom $T_pc(q) = T_pc(0) exp(q hat(H))$; $h*^T H = I$, $H^T Hbar* = 0$ and that both are a basis of all
+    wrenches, in every frame, so that power is $F . H v = tau . v$ in W; that `velocity_of` is the inverse of `rate`;
+    that springs have no force at zero, and that their deflection changes with the velocity nearby; derivatives forward
+    and reverse; and single precision, with translations of 7e6 m. Positions are zero, tiny, of size 1, near half a turn
+    and some turns away.
 
     Args:
         joint: an instance, such as `MyJoint("j", axis=(0.0, 0.0, 1.0))`, whose Parameters have values.
-        at_zero: $T_pc$ (4, 4) where the position is zero; the identity unless given.
+        at_zero: $T_pc$ (4, 4) where the position is zero; the identity by default.
         seed: of the random numbers.
     Raises:
-        LawError: a law does not hold. The message names it, the values and what to look at.
-        InputError: `joint` is no joint.
+        LawError: a law is violated. The message names it, the values and the likely cause.
+        InputError: `joint` is not a joint.
     Source: R. Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 3.
     Example: `tx.testing.check_joint(tx.mechanics.joints.Planar("table"))`.
     """

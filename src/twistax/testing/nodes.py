@@ -25,17 +25,17 @@ _SINGLE = 100.0 * float(np.finfo(np.float32).eps)
 def check_node(node_class: type[Expr]) -> None:
     """Check that a node class satisfies the laws of nodes, on its `cases` and `kinks`.
 
-    Checked are that the inferred shape is that of the value, and shapes are refused by no other error than ShapeError;
-    float32 stays float32, within 100 round-offs of its size and of what its operands' round-off makes of it; jit =
-    eager = vmap; derivatives forward = reverse = by differences, where a case is smooth, and finite at `kinks`;
-    `canonicalize` keeps the value and is stable; equal trees have equal keys; texts and formulas are whole; nodes never
-    change; a rule of kinds is stated. No units are checked.
+    It checks that the inferred shape is that of the value, and that wrong shapes raise ShapeError and no other error;
+    that float32 stays float32, within 100 round-offs of its size and of the effect of its operands' round-off; jit =
+    eager = vmap; derivatives forward = reverse = by finite differences, where a case is smooth, and finite at `kinks`;
+    that `canonicalize` preserves the value and is idempotent; that equal trees have equal keys; that texts and formulas
+    are complete; that nodes are immutable; that a rule of kinds is defined. It does not check units.
 
     Args:
         node_class: a subclass of `Expr` with `cases`.
     Raises:
-        LawError: a law does not hold, or there are no cases. The message names it, the values and what to look at.
-        InputError: `node_class` is no class of nodes.
+        LawError: a law is violated, or there are no cases. The message names it, the values and the likely cause.
+        InputError: `node_class` is not a class of nodes.
     Example: `tx.testing.check_node(tx.Sin)`.
     """
     if not (isinstance(node_class, type) and issubclass(node_class, Expr)):
@@ -258,7 +258,7 @@ def _raises(call: Callable[[], Any], error: type[Exception]) -> bool:
 
 def rule_of_kinds(case: Case) -> None:
     """The class says what it makes of kinds, frames and units."""
-    fix = "name one: kinds = tx.kinds.OPEN says nothing, tx.kinds.Fixed(takes, gives) has units"
+    fix = "name one: kinds = tx.kinds.OPEN says nothing, tx.kinds.FixedUnits(takes, gives) has units"
     case.check.holds("a node states a rule of kinds", case.node.kinds is not None, "kinds is None", fix)
 
 

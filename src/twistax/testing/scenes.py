@@ -15,20 +15,21 @@ from .laws import STENCIL, STEP, Check, difference_quotient
 
 
 def check_scene(scene: Any, *, stiff: bool = False, tolerance: float = 1e-8, **options: Any) -> None:
-    """Check that the truth of a scene is the motion of its system from its start.
+    """Check that the exact solution of a scene is the motion of its system from its initial state.
 
-    Checked are that start, end, params and invariants have the names and shapes of the system, and elements are in
+    It checks that start, end, params and invariants have the names and shapes of the system, and that elements are in
     their groups; that a closed form begins at the start and has the rates of the system, $x'(t) = f(t, x(t))$, at times
-    along the way; that invariants keep along an integration, and that this ends at the truth, in the scene's units.
+    in between; that invariants are conserved by an integration, and that this ends at the exact solution, in the
+    scene's units.
 
     Args:
         scene: a `twistax.scenes.Scene`.
         stiff: integrate by Radau IIA 9 in place of DOP853.
-        tolerance: what the end may be off, as `scene.error` measures, and invariants by their size.
-        options: of `scene.integrate`; rtol = atol = 1e-10 unless given.
+        tolerance: of the final state, as `scene.error` measures, and of invariants relative to their size.
+        options: of `scene.integrate`; rtol = atol = 1e-10 by default.
     Raises:
-        LawError: a law does not hold. The message names it, the values and what to look at.
-        InputError: `scene` is no scene.
+        LawError: a law is violated. The message names it, the values and the likely cause.
+        InputError: `scene` is not a scene.
     Example: `tx.testing.check_scene(SCENES["euler-top"])`.
     """
     if not all(hasattr(scene, name) for name in ("build", "start", "duration", "error", "integrate")):

@@ -34,16 +34,16 @@ _LARGEST = 9
 def check_tableau(tableau: ButcherTableau | CollocationTableau | CommutatorFreeTableau) -> None:
     """Check that a tableau has its declared order, for numbers and on a group.
 
-    Of a Runge-Kutta tableau with $c = A 1$ every rooted tree t of at most `order` nodes must give $sum_i b_i Phi_i(t) =
-    1/gamma(t)$, and likewise its embedded solution; of a commutator-free one that which it is on numbers. Orders above
-    9 are checked up to 9. Then its method follows a turning body, R' = R hat(w(t, R)) in rad/s, with halved steps, and
-    must converge with that order, up to 0.25, as far as errors stay above round-off.
+    For a Runge-Kutta tableau with $c = A 1$ every rooted tree t of at most `order` nodes must satisfy $sum_i b_i
+    Phi_i(t) = 1/gamma(t)$, and likewise for its embedded solution; for a commutator-free one this applies to its
+    underlying tableau. Orders above 9 are checked up to 9. Then its method integrates a rotating body, R' = R hat(w(t,
+    R)) in rad/s, with halved steps, and must converge with that order, up to 0.25, while errors are above round-off.
 
     Args:
         tableau: a `ButcherTableau`, a `CollocationTableau` or a `CommutatorFreeTableau` with coefficients a (s, s).
     Raises:
         LawError: a condition does not hold, or the fitted order is too low.
-        InputError: `tableau` is no tableau.
+        InputError: `tableau` is not a tableau.
     Source: E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I (1993), section II.2.
     Example: `tx.testing.check_tableau(tx.tableaus.RK4)`.
     """

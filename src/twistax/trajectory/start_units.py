@@ -46,7 +46,7 @@ class StartUnits:
         self._staged_at = z, staged.coordinates(z)
         at = Evaluated(staged.transcription, z)
         self._least = None if before is None else [sizes.rounding() for sizes in before.parts]
-        self.parts = self._measured(staged, point, at, at.differentiate(), limits is not None)
+        self.parts: list[Sizes] = self._measured(staged, point, at, at.differentiate(), limits is not None)
         self._first = self.parts
         if limits is not None and _reserve(self.parts) > _RESERVE:
             self.parts = self._fitted(staged, point, limits, self.parts)[1]
@@ -158,7 +158,8 @@ class StartUnits:
             slopes = np.where(is_good and np.isfinite(slopes).all(), slopes, 0.0)
             gaps = gaps[: K * n].reshape(K, n)
             gaps = np.where(np.isfinite(gaps).all(), gaps, 0.0)
-            sizes = part.meter(segment.of(point), slopes, gaps, self._least and self._least[number], with_reserve)
+            least = None if self._least is None else self._least[number]
+            sizes = part.meter(segment.of(point), slopes, gaps, least, with_reserve)
             for name, other in phase.alike.items():  # an extreme counts as what it is one of, in all phases alike
                 slices = phase.dynamics.group.slices
                 sizes_of.setdefault(name, sizes.d[slices.get(other, slices[name])])

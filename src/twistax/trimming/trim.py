@@ -41,16 +41,16 @@ class Trim:
     """The result of `trim`.
 
     Attributes:
-        t, x, u, params: the point, as calls of the dynamics take it; params has those that were given or free.
+        t, x, u, params: the point, as arguments of the dynamics; params has passed and free parameters.
         trimmed: `measure` is at most the tolerance.
-        measure: the largest remaining condition, by shares of what it changes by when every unknown changes by its
-            scale. It has no unit. What it changes by is the lesser of what its derivatives say and of what is seen at
-            points 1e-5 of the scales away, so that a derivative that is huge at one point alone hides nothing.
-        residuals: by name, "rate of V[3]", "airspeed", "slope of alpha": what is left of every condition, in its unit.
-        unknowns: by name, the values of what was free; of a group-valued state its steps from the start, added up.
-        saturated: by name, the bound at which an unknown stands.
-        undetermined: the unknowns that may move together without a change of any condition, to first order.
-        evaluations: how often the conditions were evaluated.
+        measure: the largest residual of a condition, relative to its change when every unknown changes by its
+            scale; dimensionless. The change is computed from derivatives, and from differences over 1e-5 of the scales;
+            the smaller one is used, so that a very large derivative at a single point does not hide a residual.
+        residuals: by name, "rate of V[3]", "airspeed", "slope of alpha": the residual of every condition, in its unit.
+        unknowns: by name, the values of free quantities; of a group-valued state the sum of its steps from the start.
+        saturated: by name, the bound at which an unknown is.
+        undetermined: the unknowns that may change together without a change of any condition, to first order.
+        evaluations: the number of evaluations of the conditions.
         dynamics: the compiled system.
     """
 
@@ -98,35 +98,35 @@ def trim(
     tolerance: float = 1e-9,
     throw: bool = True,
 ) -> Trim:
-    """A point near the one given at which a system is in equilibrium, or in the steady motion that is asked for.
+    """A point near the initial one at which a system is in equilibrium, or in a specified steady motion.
 
-    What is named in `free` is sought, all else stays as given. Names are whole leaves, "V", or entries, "V[3]",
-    "V[3:6]", read row by row; of a pose or rotation they are entries of its body perturbation, "g[4]" the turn about
-    the body's y axis. Bounds of states and controls are kept.
+    The quantities in `free` are unknowns, all others are constant. Names are whole leaves, "V", or entries, "V[3]",
+    "V[3:6]", in row-major order; of a pose or rotation they are entries of its body perturbation, "g[4]" the rotation
+    about the body's y axis. Bounds of states and controls are respected.
 
-    Solved are the bounded nonlinear least squares of all conditions by SciPy's trust-region-reflective method in the
-    tangent space, in double precision, with exact derivatives. Conditions and unknowns are scaled, so that units do not
-    matter: an unknown by its leaf's `scale`, else by its size, at least 1, or half the distance of its bounds if that
-    is less.
-    A system is compiled for this once for the outputs that are named, with their slopes or without; other values
-    compile nothing.
+    The bounded nonlinear least-squares problem of all conditions is solved by SciPy's trust-region-reflective method in
+    the tangent space, in double precision, with exact derivatives. Conditions and unknowns are scaled, so the result
+    does
+    not depend on units: the scale of an unknown is its leaf's `scale`, else its size, at least 1, or half the distance
+    of its bounds if that is less.
+    A system is compiled once for a set of outputs, with their derivatives or without; other values do not recompile.
 
     Args:
-        x, u, params: the start, and the values of all that is not free.
-        free: what is sought, of states, controls and parameters; as a dict with bounds, {"throttle": (0.0, 1.0)}, in
-            place of those of the leaf; None, also for one of the two, leaves it at those of the leaf.
-        fixed: outputs with the values that they shall have, {"airspeed": 120.0}, and states with rates; as a list
-            of names, or with None, what they are at the start.
+        x, u, params: the initial point, with the values of all quantities that are not free.
+        free: unknown states, controls and parameters; as a dict with bounds, {"throttle": (0.0, 1.0)}, which
+            replace those of the leaf; None, also for one side, keeps those of the leaf.
+        fixed: outputs with their target values, {"airspeed": 120.0}, and states with rates; in a list
+            of names, or with None, the target is the initial value.
         zero: states whose rates vanish, and outputs that vanish.
-        steady: outputs that do not change along the motion, controls held: $d/dt y(t, x(t), u, p) = 0$.
+        steady: outputs that are constant along the motion, with constant controls: $d/dt y(t, x(t), u, p) = 0$.
         t: the time, s.
         tolerance: of `measure`.
-        throw: raise where the conditions cannot be met; False returns the best point.
+        throw: raise an error where the conditions cannot be satisfied; False returns the best point.
     Raises:
-        InputError: an unknown name, nothing free, no condition, a value of another shape, bounds that leave no room or
+        InputError: an unknown name, no unknown, no condition, a value of another shape, bounds that contradict or
             are of a group.
-        TrajectoryError: no trim was found; it says what is off and what stands at a bound. Conditions or derivatives
-            are not finite.
+        TrajectoryError: no trim was found; it names violated conditions and unknowns at bounds. Conditions or
+            derivatives are not finite.
         ModelError: the system is not compiled.
 
     Source: Branch, Coleman, Li, A subspace, interior, and conjugate gradient method for large-scale bound-constrained
@@ -151,7 +151,8 @@ def trim(
     solution = dataclasses.replace(solution, trimmed=solution.measure <= tolerance)
     if throw and not solution.trimmed:
         raise TrajectoryError(
-            f"trim: no point meets the conditions.\n{solution}\n  fix: free more, ask for less, or start nearer"
+            f"trim: no point satisfies the conditions.\n{solution}\n"
+            "  fix: free more quantities, remove conditions, or start nearer"
         )
     return solution
 

@@ -59,7 +59,7 @@ class Unknowns:
                 raise InputError(f"free[{name!r}] expects (least, most) or None, got {short(pair)}")
             places = positions("trim: free", [name], shapes)
             if self._curved[places].any():
-                raise InputError(f"free[{name!r}]: a turn or a shift on a group has no bounds; give None")
+                raise InputError(f"free[{name!r}]: a perturbation on a group has no bounds; pass None")
             for bound, into in zip(pair, (lower, upper)):
                 if bound is not None:
                     numbers = reals(f"free[{name!r}]", bound, InputError).reshape(-1)

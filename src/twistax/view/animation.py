@@ -30,14 +30,14 @@ _LENGTHS = 4.0
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Body:
-    """Something that moves, with all that is fixed to it.
+    """A moving body, with the shapes that are fixed to it.
 
     Attributes:
         name: of the state, or of the frame of a mechanism.
         poses: T (n, 4, 4) in the world at the times of the scene; positions in m.
         shapes: in its axes.
         axes: whether x (red), y (green) and z (blue) are drawn.
-        trail: whether the path of its origin is.
+        trail: whether the path of its origin is drawn.
     """
 
     name: str
@@ -49,18 +49,18 @@ class Body:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Arrow:
-    """How a vector is drawn: `solution.show(arrows={"T": tx.view.Arrow("g", at=engine)})`.
+    """The style of a vector: `solution.show(arrows={"T": tx.view.Arrow("g", at=engine)})`.
 
     A value (3,) is one arrow. A value (6,) is a wrench [f; tau] or a twist [v; w], and two arrows.
 
     Attributes:
-        on: the name of the body, or of the frame of a mechanism, that it starts from; the only one unless given.
-        at: (3,) where it starts, in the axes of the body, m.
-        world: the vector is in axes of the world; in those of the body unless given.
-        scale: metres for a unit of the vector, for a torque, too; negative draws it the other way. Unless given the
-            largest one along the motion is a fifth of the scene.
-        color: red, green and blue from 0 to 255. A torque has it darker.
-    Raises: InputError for a place that is no point, or a scale that is zero.
+        on: the name of the body, or of the frame of a mechanism, at which it starts; not needed for a single body.
+        at: (3,) its start, in the axes of the body, m.
+        world: the vector is in world axes; by default in those of the body.
+        scale: metres for a unit of the vector, also for a torque; a negative one reverses it. By default the
+            largest vector along the motion is a fifth of the scene.
+        color: red, green and blue from 0 to 255. A torque is darker.
+    Raises: InputError for a start that is not a point, or a scale that is zero.
     """
 
     on: str | None = None
@@ -120,17 +120,17 @@ class Animation:
 
     @property
     def duration(self) -> float:
-        """How long the animation takes, s."""
+        """The duration of the animation, s."""
         return float(np.clip(self.ts[-1] - self.ts[0], _SHORTEST, _LONGEST) if self.seconds is None else self.seconds)
 
     @property
     def followed(self) -> Body | None:
-        """The body that stays in the middle of the picture."""
+        """The body at the centre of the picture."""
         return next((body for body in self.bodies if body.name == self.follow), None)
 
     @property
     def view_size(self) -> float:
-        """The length that fills the picture, m: of the whole scene, or some lengths of the body that is followed."""
+        """The length that fills the picture, m: that of the whole scene, or some lengths of the followed body."""
         body = self.followed
         if body is None or not body.shapes:
             return self.size if body is None else 0.2 * self.size
@@ -138,7 +138,7 @@ class Animation:
         return min(self.size, _LENGTHS * float(np.linalg.norm(np.ptp(corners, axis=0))))
 
     def extent(self) -> Array:
-        """The least and largest coordinates (2, 3) of all that is drawn but arrows, m."""
+        """The smallest and largest coordinates (2, 3) of everything that is drawn except arrows, m."""
         low, high = [], []
         for body in self.bodies:
             ends = np.concatenate([np.zeros((1, 3)), *(_ends(shape) for shape in body.shapes)])
@@ -165,7 +165,7 @@ class Animation:
     def at(self: A, times: Array) -> A:
         """The scene at other times within its own.
 
-        Positions and vectors are linear between two of its times, and the rotation goes on about one axis.
+        Positions and vectors are interpolated linearly between two saved times, and rotations about one axis.
         """
         from scipy.spatial.transform import Rotation, Slerp
 
@@ -199,5 +199,5 @@ class Animation:
         )
 
     def frames(self: A) -> A:
-        """The scene at the times of its pictures, thirty for each second of the animation."""
+        """The scene at the times of its frames, thirty for each second of the animation."""
         return self.at(np.linspace(self.ts[0], self.ts[-1], 1 + int(np.ceil(RATE * self.duration))))

@@ -21,6 +21,8 @@ from .stage import Stage, silent_server
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 #: How long a browser may take to begin, and to draw a picture, s.
 _BEGIN, _PICTURE = 60.0, 60.0
+#: The most pictures that are drawn before the first one of a film.
+_SETTLING = 10
 
 
 def film(scene: Animation, path: Path, size: tuple[int, int]) -> Path:
@@ -45,6 +47,7 @@ def film(scene: Animation, path: Path, size: tuple[int, int]) -> Path:
         frames = scene.frames()
         stage = Stage(server, frames)
         with _client(server, browser, size) as client, _ffmpeg(imageio_ffmpeg.get_ffmpeg_exe(), path, size) as pipe:
+            _settle(client, size)
             for k in range(len(frames.ts)):
                 stage.draw(k)
                 try:
@@ -53,6 +56,17 @@ def film(scene: Animation, path: Path, size: tuple[int, int]) -> Path:
                 except (TimeoutError, OSError) as error:
                     raise ModelError(f"video: picture {k} of {len(frames.ts)} fails: {error!r}") from None
     return path
+
+
+def _settle(client: Any, size: tuple[int, int]) -> None:
+    """Draw pictures until two are equal: camera, lights and text arrive after the browser has connected."""
+    width, height = size
+    before = None
+    for _ in range(_SETTLING):
+        picture = client.get_render(height, width, transport_format="png", timeout=_PICTURE)
+        if before is not None and np.array_equal(picture, before):
+            return
+        before = picture
 
 
 def _on_white(picture: Any) -> Any:

@@ -21,11 +21,11 @@ class Mesh(Shape):
 
     Attributes:
         source: a path of a file that trimesh reads, such as STL, OBJ or DAE, or a pair of corners (n, 3) in m and
-            triangles (m, 3) of their numbers.
+            triangles (m, 3) of their indices.
         at, color, opacity: as of every `Shape`.
-        scale: what the corners are multiplied by, a number or three, such as 0.001 for a file in mm.
-    Raises: InputError where the file is drawn: one that is not there, is not understood, or has no triangles.
-        ModelError there without trimesh.
+        scale: the factor of the corners, a number or three, such as 0.001 for a file in mm.
+    Raises: InputError when the file is drawn: it does not exist, cannot be read, or has no triangles.
+        ModelError when it is drawn without trimesh.
     """
 
     source: Any
@@ -42,7 +42,7 @@ class Mesh(Shape):
             inside = faces.ndim == 2 and faces.shape[1] == 3 and len(faces) and 0 <= faces.min() <= faces.max()
             if corners.ndim != 2 or corners.shape[1] != 3 or not inside or faces.max() >= len(corners):
                 raise InputError(
-                    "Mesh expects corners (n, 3) and triangles (m, 3) of their numbers, "
+                    "Mesh expects corners (n, 3) and triangles (m, 3) of their indices, "
                     f"got shapes {corners.shape} and {faces.shape}"
                 )
 

@@ -15,29 +15,29 @@ from .stage import page, served
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Scene(Animation):
-    """What `show` gives back: a scene over time. A notebook shows it.
+    """The result of `show`: a scene over time. A notebook displays it.
 
     Attributes:
         ts: (n,) times in s, rising.
-        bodies: what moves.
-        vectors: what is drawn as arrows.
-        shapes: what stands still.
-        up: (3,) the direction that is drawn upwards.
-        seconds: how long the animation takes; the time of the motion, from 2 to 20 s, unless given.
-        follow: the name of the body that stays in the middle of the picture; none unless given.
-        caption: (n, ...) values by name that are written beside the time.
+        bodies: the moving bodies.
+        vectors: the vectors that are drawn as arrows.
+        shapes: the fixed shapes.
+        up: (3,) the upward direction.
+        seconds: the duration of the animation; by default the time of the motion, from 2 to 20 s.
+        follow: the name of the body at the centre of the picture; none by default.
+        caption: (n, ...) values by name that are printed beside the time.
         ground: whether a plane is drawn below everything, with shadows.
     """
 
     def html(self) -> str:
-        """The animation as one HTML page, with a slider and without anything from elsewhere.
+        """The animation as one self-contained HTML page with a slider.
 
         Raises ModelError where viser is not installed.
         """
         return page(self)
 
     def save(self, path: Any) -> Path:
-        """Write the page of `html`; a file that is there is written over.
+        """Write the page of `html`; an existing file is overwritten.
 
         Raises:
             InputError: a path that cannot be written.
@@ -52,27 +52,27 @@ class Scene(Animation):
         return file
 
     def video(self, path: Any, *, size: tuple[int, int] = (1280, 720)) -> Path:
-        """Write the animation as a film, such as flight.mp4, with thirty pictures a second.
+        """Write the animation as a video, such as flight.mp4, with thirty frames a second.
 
-        A Chromium or Chrome of this machine draws the pictures, without a window; imageio-ffmpeg writes the file.
+        An installed Chromium or Chrome draws the frames, without a window; imageio-ffmpeg writes the file.
 
         Args:
-            path: of the file; one that is there is written over. Its ending is that of the format.
+            path: of the file; an existing file is overwritten. The extension selects the format.
             size: width and height in pixels, even numbers.
         Raises:
-            InputError: a path that cannot be written, or sizes that are no such numbers.
+            InputError: a path that cannot be written, or invalid sizes.
             ModelError: viser or imageio-ffmpeg is not installed, no browser is found, or it draws nothing.
         """
         return film(self, path_of("video: path", path), size)
 
     def live(self, port: int = 8080) -> Any:
-        """Serve the scene to browsers of this machine, with a slider for the time, at a free port.
+        """Serve the scene to browsers on this machine, with a slider for the time, at a free port.
 
         Returns:
-            the viser server: `server.sleep_forever()` keeps a script running, `server.stop()` ends it; more can be put
-            into its scene.
+            the viser server: `server.sleep_forever()` keeps a script running, `server.stop()` ends it; its scene can be
+            extended.
         Raises:
-            InputError: port is no positive whole number.
+            InputError: port is not a positive whole number.
             ModelError: viser is not installed.
         """
         return served(self, whole("live: port", port))

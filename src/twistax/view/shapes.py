@@ -23,13 +23,13 @@ STEEL: Color = (92, 124, 160)
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Shape:
-    """What all solids have: a place, a colour, how much shows through.
+    """Base of all solids: pose, colour and opacity.
 
     Attributes:
-        at: where it stands, in the axes of its body or of the world: a point (3,) in m, or a pose T (4, 4).
+        at: its place, in the axes of its body or of the world: a point (3,) in m, or a pose T (4, 4).
         color: red, green and blue from 0 to 255.
         opacity: from 0 to 1.
-    Raises: InputError for something else, or a size that is not positive.
+    Raises: InputError for other values, or a size that is not positive.
     """
 
     at: Any = (0.0, 0.0, 0.0)
@@ -61,11 +61,13 @@ class Shape:
         object.__setattr__(self, "at", at)
 
     def mesh(self) -> tuple[Array, Array]:
-        """Corners (n, 3) in its own axes, in m, and triangles (m, 3) of their numbers, turning right outwards."""
+        """Corners (n, 3) in its own axes, in m, and triangles (m, 3) of their indices, counter-clockwise from
+        outside.
+        """
         raise NotImplementedError
 
     def corners(self) -> Array:
-        """The corners (n, 3) where it stands."""
+        """The corners (n, 3) at its place."""
         return self.mesh()[0] @ self.at[:3, :3].T + self.at[:3, 3]
 
 
@@ -93,8 +95,9 @@ class Ellipsoid(Shape):
     def of_inertia(cls, mass: Any, center_of_mass: Any, inertia: Any, **looks: Any) -> Ellipsoid:
         """The solid, homogeneous ellipsoid of a mass, kg, and an inertia tensor (3, 3) about its centre, kg m2.
 
-        Its principal moments are $I_1 = m (b^2 + c^2) / 5$ and so on, so that $a^2 = 5 (I_2 + I_3 - I_1) / (2 m)$. What
-        is flat or a line is given a hundredth of its largest semi-axis. Raises InputError where all of it is zero.
+        Its principal moments are $I_1 = m (b^2 + c^2) / 5$ and so on, so that $a^2 = 5 (I_2 + I_3 - I_1) / (2 m)$. A
+        flat or thin body is drawn with at least a hundredth of its largest semi-axis. Raises InputError where all of it
+        is zero.
 
         Args:
             center_of_mass: (3,), m, in the axes of the tensor.

@@ -20,6 +20,8 @@ _DRAWN = 10.0
 _TRAIL = (31, 95, 153)
 _GROUND, _CELLS, _SECTIONS = (238, 240, 243), (214, 218, 224), (184, 190, 200)
 _CAMERA = np.array([0.4, -0.78, 0.33])
+#: Where the ground begins to fade into the background and where it is gone, and the size of the caption on the screen.
+_FADE, _CAPTION = (2.5 * _DRAWN, 9.0 * _DRAWN), 1.6
 
 
 def page(scene: Animation) -> str:
@@ -90,6 +92,7 @@ class Stage:
         self.center, self.zoom = 0.5 * (low + high), _DRAWN / scene.view_size
         self.turn = _upwards(np.asarray(scene.up))
         server.scene.set_up_direction(tuple(self.turn[:, 2]))
+        server.scene.configure_fog(*_FADE)
         server.initial_camera.up = tuple(self.turn[:, 2])
         server.initial_camera.look_at = (0.0, 0.0, 0.0)
         server.initial_camera.position = tuple(self.turn @ (_DRAWN * _CAMERA))
@@ -102,7 +105,13 @@ class Stage:
             self._solid(f"/world/shapes/{i}", shape, self.center)
         self.arrows = [self._arrow(f"/world/arrows/{vector.name}", vector.color) for vector in scene.vectors]
         self.ends = [self._drawn(vector.ends(scene.scale_of(vector))) for vector in scene.vectors]
-        self.label = self.nodes.add_label("/time", "", position=tuple(self.turn @ [0.0, 0.0, 0.45 * _DRAWN]))
+        self.label = self.nodes.add_label(
+            "/time",
+            "",
+            position=tuple(self.turn @ [0.0, 0.0, 0.45 * _DRAWN]),
+            font_screen_scale=_CAPTION,
+            anchor="bottom-center",
+        )
         self.digits = max(0, int(np.ceil(-np.log10((scene.ts[-1] - scene.ts[0]) / len(scene.ts)))))
         followed = scene.followed
         self.middles = None if followed is None else self._drawn(followed.poses[:, :3, 3])
@@ -117,7 +126,7 @@ class Stage:
         for arrow, ends in zip(self.arrows, self.ends):
             arrow.visible = bool(np.linalg.norm(ends[k, 1] - ends[k, 0]) > 0.01)
             arrow.points = ends[k][None].astype(np.float32)
-        values = [f"{name} = {_listed(of[k])}" for name, of in self.scene.caption.items()]
+        values = [f"{name} = {_listed(of[k], _decimals(of))}" for name, of in self.scene.caption.items()]
         self.label.text = "   ".join([f"t = {self.scene.ts[k]:.{self.digits}f} s", *values]) + self.note
 
     def _drawn(self, points: Array) -> Array:
@@ -163,7 +172,7 @@ class Stage:
         # Its lines lie on whole numbers of squares.
         place = np.round(self.center @ self.turn / square) * square
         place[2] = height
-        width = 2.0 * _DRAWN + 2.0 * self.zoom * self.scene.size
+        width = 2.0 * _FADE[1] + 2.0 * self.zoom * self.scene.size
         self.nodes.add_grid(
             "/world/ground",
             width,
@@ -182,9 +191,18 @@ class Stage:
         return square
 
 
-def _listed(value: Array) -> str:
+def _decimals(values: Array) -> int | None:
+    """Decimals that show three digits of the largest value, so that a text keeps its length; None without one."""
+    largest = float(np.max(np.abs(values), initial=0.0))
+    return max(0, 2 - int(np.floor(np.log10(largest)))) if 1e-6 < largest < 1e9 else None
+
+
+def _listed(value: Any, decimals: int | None) -> str:
     """A number, or the entries of a small array."""
-    return ", ".join(f"{float(entry):.3g}" for entry in np.ravel(value)[:6])
+    entries = [float(entry) for entry in np.ravel(value)[:6]]
+    if decimals is None:
+        return ", ".join(f"{entry:.3g}" for entry in entries)
+    return ", ".join(f"{round(entry, decimals) + 0.0:,.{decimals}f}" for entry in entries)
 
 
 def quaternions(R: Array) -> Array:

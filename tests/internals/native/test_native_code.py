@@ -77,9 +77,9 @@ def test_llvm_that_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         for _ in range(2):  # not once alone, where a filter makes it an error
-            with pytest.raises(RuntimeWarning, match="LLVM refuses it"):
+            with pytest.raises(RuntimeWarning, match="LLVM rejects it"):
                 tx.compile(SMALL, backend=tx.Native(least=0))(0.0, AT)
-    with pytest.warns(RuntimeWarning, match="LLVM refuses it"):
+    with pytest.warns(RuntimeWarning, match="LLVM rejects it"):
         rates = tx.compile(SMALL, backend=tx.Native(least=0))(0.0, AT)["s"]
     np.testing.assert_allclose(rates, RATES, rtol=1e-14)
 

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from twistax.scalar.array_primitive import BatchedByKernel
 from twistax.scalar.jax_primitive import Derived, call_program
 from twistax.scalar.primitives.in_range import behind_barrier, norm, quotient
 from twistax.scalar.primitives.table import OPERATIONS
@@ -24,6 +25,8 @@ BEHIND = np.array([np.nan, -1.5])
 
 _PRODUCT = Derived(scalarize(lambda x: [x * x], jax.ShapeDtypeStruct((2,), float)))
 _BY_KERNEL = Derived(_PRODUCT.program, None, Native().runner)
+_SQUARED = jax.make_jaxpr(lambda x: [x * x])(jax.ShapeDtypeStruct((2,), float))
+_IN_BATCHES = BatchedByKernel(_SQUARED, lambda _: _BY_KERNEL)
 
 
 @jax.custom_jvp
@@ -124,6 +127,7 @@ EXAMPLES: dict[str, tuple[Any, ...]] = {
     "while": (lambda a: lax.while_loop(lambda s: s[0] < 9.0, lambda s: 2.0 * s, a), REAL),
     "scalar_program": (lambda x: jax.jit(lambda y: call_program(_PRODUCT, y)[0])(x), REAL),
     "native_program": (lambda x: jax.jit(lambda y: call_program(_BY_KERNEL, y)[0])(x), REAL),
+    "batched_function": (lambda x: jax.jit(lambda y: call_program(_IN_BATCHES, y)[0])(x), REAL),
 }
 
 if jax.__version_info__ < (0, 12):

@@ -111,6 +111,7 @@ NAMED = {
     "scatter-mul": {"update_jaxpr"},
     "scalar_program": {"inside"},
     "native_program": {"inside"},
+    "batched_function": {"inside"},
     "custom_vmap_call": {"rule", "in_tree", "out_tree"},
 }
 

@@ -27,23 +27,23 @@ _NEEDS_NUMBERS = (
 
 
 class Function:
-    """Any JAX function of arrays, to be applied to expressions: `tx.Function(net, (3,))(x, u)` is an expression.
+    """A JAX function of arrays for use in expressions: `tx.Function(net, (3,))(x, u)` is an expression.
 
-    $y = f(a_1, \\ldots, a_n)$, where f is a neural network, a table of another library, a function with derivatives of
-    its own (`jax.custom_jvp`, `jax.custom_vjp`), or calls Python outside of JAX (`jax.pure_callback`). f is called with
-    one array of the operand's shape for each operand, and with a pytree for a `tx.ParameterTree`; it returns one array.
-    It must be pure: the same arguments give the same values. Values and derivatives are those of JAX. Arrays of real
-    numbers in f, such as the weights of an `equinox.Module`, take the precision of the operands and are constants; a
-    `tx.ParameterTree` makes them parameters. Units are those that f gives. Source: JAX's documentation, "Custom
+    $y = f(a_1, \\ldots, a_n)$, where f is a neural network, a table of another library, a function with custom
+    derivatives (`jax.custom_jvp`, `jax.custom_vjp`), or calls Python outside of JAX (`jax.pure_callback`). f is called
+    with one array of the operand's shape for each operand, and with a pytree for a `tx.ParameterTree`. It returns one
+    array. It must be pure: the same arguments give the same values. Values and derivatives are those of JAX. Arrays of
+    real numbers in f, such as the weights of an `equinox.Module`, are cast to the precision of the operands and are
+    constants; a `tx.ParameterTree` makes them parameters. Units are not checked. Source: JAX's documentation, "Custom
     derivative rules" and "External callbacks".
 
     Args:
-        f: the function, or an object that can be called. An `equinox.Module` may be one.
-        shape: the shape of its value; if left out it is that which f gives.
-        name: what messages, formulas and `explain` call it; unless given the name of f.
+        f: the function, or another callable, such as an `equinox.Module`.
+        shape: the shape of its value; by default it is found by tracing f.
+        name: its name in messages, formulas and `explain`; the name of f by default.
     Raises:
-        ModelError: f cannot be called, has weights that JAX is tracing, needs the numbers of its arguments, or returns
-            something that is no array of real numbers.
+        ModelError: f cannot be called, has weights that JAX is tracing, needs concrete values of its arguments, or
+            does not return an array of real numbers.
         ShapeError: f fails for operands of these shapes, or its value has another shape than `shape`.
 
     Example:
@@ -74,7 +74,7 @@ class Function:
         return f"Function({self.name!r}{shape})"
 
     def __call__(self, *operands: Any) -> Call:
-        """The expression f(operands). Its shape is checked at once. Raises as `Function` says."""
+        """The expression f(operands). Its shape is checked immediately. Raises the errors of `Function`."""
         exprs = [e for operand in operands for e in (operand.parameters if _is_tree(operand) else [to_expr(operand)])]
         trees = tuple(operand if _is_tree(operand) else None for operand in operands)
         call = Call(*exprs, f=self.f, result_shape=self.shape, name=self.name, trees=trees)
@@ -135,7 +135,7 @@ class Call(Expr, init=False):
             return jax.eval_shape(self._applied, *structs)
         except _NEEDS_NUMBERS as error:
             raise ModelError(
-                f"Function {self.name!r} needs the numbers of its arguments, which JAX does not know when it traces: "
+                f"Function {self.name!r} needs concrete values of its arguments, which tracing by JAX does not have: "
                 f"{_first_line(error)}\n"
                 "  fix: write it in jax.numpy and jax.lax; what cannot be is called by jax.pure_callback, with "
                 "derivatives by jax.custom_jvp"

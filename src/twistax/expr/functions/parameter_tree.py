@@ -17,16 +17,16 @@ from ..leaves import Parameter
 class ParameterTree:
     """A pytree of arrays as parameters: the weights of a neural network, a dictionary of tables.
 
-    Each array of real numbers in the tree is a `tx.Parameter` named after the tree and its place, such as
-    "net.layers[0].weight", of the shape of the array. A `tx.Function` that is called with a ParameterTree calls its
-    function with the tree. To systems, problems, sweeps and files these are parameters like any other: `values` gives
+    Each array of real numbers in the tree is a `tx.Parameter` named after the tree and its path, such as
+    "net.layers[0].weight", of the shape of the array. A `tx.Function` that is applied to a ParameterTree receives the
+    pytree. Systems, problems, sweeps and files treat these as ordinary parameters: `values` returns
     the `params` of a call, `parameters` the `free` of a Problem. Other leaves of the tree, such as activation functions
-    and whole numbers, are fixed. Values have the units that the function expects. Source: JAX's documentation,
+    and integers, are constants. Values have the units that the function expects. Source: JAX's documentation,
     "Pytrees".
 
     Args:
-        name: what the names of the parameters begin with.
-        value: the tree, whose numbers are used when a call gives none. An `equinox.Module` is one.
+        name: the prefix of the names of the parameters.
+        value: the tree, whose numbers are the default values. It may be an `equinox.Module`.
     Attributes:
         parameters: the parameters, in the order of `jax.tree.leaves`.
     Raises:
@@ -50,7 +50,7 @@ class ParameterTree:
             )
         if is_traced(arrays):
             raise ModelError(
-                f"ParameterTree {name!r} expects arrays with known numbers, got one that JAX is tracing.\n"
+                f"ParameterTree {name!r} expects arrays with known numbers, got one that is traced by JAX.\n"
                 "  fix: build the system outside of the transformation, and pass params=weights.values(tree) inside"
             )
         leaves, self._structure = jax.tree.flatten(value)
@@ -63,13 +63,13 @@ class ParameterTree:
         return f"ParameterTree({self.name!r}, {len(self.parameters)} arrays)"
 
     def key(self) -> tuple[Any, ...]:
-        """What distinguishes functions of this tree from those of another one."""
+        """A value that identifies functions of this tree."""
         return str(self._structure), self._paths
 
     def values(self, tree: Any) -> dict[str, Any]:
         """The values of the parameters by name, `params` of a call, from a tree with the same arrays.
 
-        It may be traced: derivatives by a tree go through it. Leaves that are no arrays of real numbers are not read.
+        It may be traced, so derivatives with respect to a tree are available. Leaves without real numbers are ignored.
 
         Raises:
             ShapeError: an array is missing, is not in this tree, or has another shape.
@@ -90,9 +90,9 @@ class ParameterTree:
         return {parameter.name: arrays[path] for path, parameter in wanted.items()}
 
     def tree(self, values: Mapping[str, Any] | None = None) -> Any:
-        """The tree with values of the parameters by name, such as the parameters of a result of a problem.
+        """The tree with values of the parameters by name, for example those of the result of a problem.
 
-        Others may be among them; without any it is the tree of the default values.
+        Other names are ignored. Without an argument it is the tree of the default values.
 
         Raises:
             InputError: a parameter has no value among them.

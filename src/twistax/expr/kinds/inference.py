@@ -10,27 +10,28 @@ each place.
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Hashable, Iterable, Mapping, Sequence
-from typing import NamedTuple, TypeAlias
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
 
 from ...errors import KindError
 from ..graph import find_path, postorder
 from ..leaves import Constant, Leaf, State
 from ..node import Expr
-from .kinds import Space
+from ..orders import bodies, short
+from .axes import AxisClasses, AxisFact
+from .body_inference import BodyInference, check_bodies
+from .declare import kind_of, known_of
+from .kinds import Kind, Space
 from .remedies import remedy_of_frames, remedy_of_spaces, remedy_of_units
-from .rules import OPEN, Clash, Common, Rule
+from .rules import OPEN, Clash, Common, Link, Rule
 from .unit import ONE, SECOND, Unit
 
 _SIX = 6
-_Token: TypeAlias = Hashable
-#: An axis of a value: what stands for the value, and the axis counted from the last, -1.
-_Slot: TypeAlias = tuple[_Token, int]
-_Fact: TypeAlias = "str | Space"
+#: The number of all constants that declare nothing.
+_UNKNOWN = 0
 
 
-class Place(NamedTuple):
+class NodePlace(NamedTuple):
     """A node below a named root."""
 
     name: str
@@ -41,253 +42,271 @@ class Place(NamedTuple):
         return self.name if self.node is self.root else f"{self.name}: {find_path(self.root, self.node)}"
 
 
-@dataclasses.dataclass(frozen=True)
-class Fixed:
-    """The frame or the space of an axis, of which value, and where it was fixed."""
-
-    fact: _Fact
-    value: Expr
-    axis: int
-    place: Place
-
-    def __str__(self) -> str:
-        name, takes = short(self.value), self.value.ndim == 2 and self.axis == -1
-        if isinstance(self.fact, str):
-            verb = "takes what is in" if takes else "gives what is in" if self.value.ndim == 2 else "is in"
-            return f"{self.place}, {name} {verb} {self.fact!r}{_said(self.value)}"
-        verb = "takes" if takes else "gives" if self.value.ndim == 2 else "is"
-        return f"{self.place}, {name} {verb} {(self.fact.dual if takes else self.fact).value}{_said(self.value)}"
-
-
-class _Classes:
-    """Union-find over axes. An axis may be dual to the first one of its class; the class remembers what fixed it."""
-
-    def __init__(self) -> None:
-        self._parent: dict[_Slot, tuple[_Slot, bool]] = {}
-        self._fixed: dict[_Slot, Fixed] = {}
-
-    def _find(self, slot: _Slot) -> tuple[_Slot, bool]:
-        path, flipped = [], False
-        parent, flip = self._parent.setdefault(slot, (slot, False))
-        while parent != slot:
-            path.append((slot, flipped))
-            slot, flipped = parent, flipped ^ flip
-            parent, flip = self._parent[slot]
-        for passed, before in path:
-            self._parent[passed] = slot, flipped ^ before
-        return slot, flipped
-
-    def known(self, slot: _Slot) -> Fixed | None:
-        first, flipped = self._find(slot)
-        return _turned(self._fixed.get(first), flipped)
-
-    def fix(self, slot: _Slot, fixed: Fixed) -> tuple[Fixed, Fixed] | None:
-        """Both where they differ."""
-        first, flipped = self._find(slot)
-        there = _turned(self._fixed.get(first), flipped)
-        if there is None:
-            self._fixed[first] = _turned(fixed, flipped)  # type: ignore[assignment]
-        return None if there is None or there.fact == fixed.fact else (there, fixed)
-
-    def link(self, one: _Slot, other: _Slot, dual: bool) -> tuple[Fixed, Fixed] | None:
-        """Both where they differ, each as it was fixed."""
-        (kept, a), (gone, b) = self._find(one), self._find(other)
-        if kept == gone:
-            return None
-        flip = a ^ b ^ dual
-        mine, theirs = self._fixed.get(kept), self._fixed.get(gone)
-        if mine and theirs and mine.fact != _turned(theirs, flip).fact:  # type: ignore[union-attr]
-            return _turned(mine, a), _turned(theirs, b)  # type: ignore[return-value]
-        self._parent[gone] = kept, flip
-        if theirs and not mine:
-            self._fixed[kept] = _turned(theirs, flip)  # type: ignore[assignment]
-        return None
-
-
-def _turned(fixed: Fixed | None, flip: bool) -> Fixed | None:
-    if fixed is None or not flip or isinstance(fixed.fact, str):
-        return fixed
-    return dataclasses.replace(fixed, fact=fixed.fact.dual)
-
-
 class Inference:
-    """Walks all expressions of a system, children first, and applies the rule of each node once."""
+    """Walks all expressions of a system, children first, and applies the rule of each node once.
+
+    The axes of a value have numbers, -1 the last. The number after it stands for the value.
+    """
 
     def __init__(self, leaves: Sequence[Leaf]) -> None:
-        self._leaves = leaves
-        self._frames, self._spaces = _Classes(), _Classes()
-        self._units: dict[object, Unit | None] = {}
-        self._free: dict[object, bool] = {}
+        self.leaves = leaves
+        self._roots: dict[str, Expr] = {}
+        self._frames, self._spaces = AxisClasses(), AxisClasses()
+        self._count = 0
+        self._ends: dict[int, int] = {}
+        self._of_names: dict[str, int] = {}
+        self._units: dict[int, Unit | None] = {_UNKNOWN: None}
+        self._free: dict[int, bool] = {}
+        #: Nodes, vectors that can be in no frame, and what makes them so.
+        self._unframed: list[tuple[Expr, Expr, Expr]] = []
+        for leaf in leaves:
+            self._leaf(leaf)
+            if not isinstance(leaf, Constant):
+                self._of_names[leaf.key()] = self._ends[id(leaf)]
 
-    def read(self, name: str, root: Expr) -> None:
-        """Apply the rules of all nodes below a root, and of bodies of maps and rates."""
-        self._read(name, root, root)
+    def read(self, roots: Mapping[str, Expr], nodes: Sequence[Expr]) -> None:
+        """Apply the rules of all nodes below roots, by the names used in messages, and of bodies of maps and rates."""
+        self._roots = dict(roots)
+        self._read(nodes)
 
-    def _read(self, name: str, root: Expr, below: Expr) -> None:
-        for node in postorder(below):
+    def _read(self, nodes: Sequence[Expr]) -> None:
+        for node in nodes:
             if id(node) in self._free:
                 continue
             for body in bodies(node):
-                self._read(name, root, body)
-            place = Place(name, root, node)
+                self._read(postorder(body))
             if isinstance(node, Leaf):
-                self._leaf(place, node)
+                self._leaf(node)
             else:
-                self._node(place, node, node.kinds or OPEN)
+                self._node(node, node.kinds or OPEN)
+                self._known_as(node)
 
-    def _leaf(self, place: Place, leaf: Leaf) -> None:
-        kind = leaf.kind
-        self._free[id(leaf)] = isinstance(leaf, Constant) and kind is None
-        self._units[_token(leaf)] = leaf.unit
+    def _numbered(self, value: Expr) -> int:
+        """The end of the numbers for the axes of another value. A quaternion has two frames."""
+        shape = value.shape
+        self._count += 2 if shape == (4,) else len(shape) or 1
+        return self._count
+
+    def _leaf(self, leaf: Leaf) -> None:
+        """Leaves of one name are one value; elements of batches and constants are what they are."""
+        if id(leaf) in self._free:
+            return
+        is_constant = isinstance(leaf, Constant)
+        self._free[id(leaf)] = is_constant and leaf.kind is None
+        if is_constant and not leaf.declares:
+            self._ends[id(leaf)] = _UNKNOWN
+            return
+        end = None if is_constant else self._of_names.get(leaf.key())
+        self._ends[id(leaf)] = end = self._numbered(leaf) if end is None else end
+        self._units[end] = self._units.get(end) if leaf.unit is None else leaf.unit
+        if leaf.kind is not None:
+            self._kind(leaf, end, leaf.kind, f", declared {leaf.kind}")
+        self._known_as(leaf)
+
+    def _kind(self, value: Expr, end: int, kind: Kind, note: str) -> None:
+        """The frames and spaces of a declared kind."""
+        for axis, frame in kind.axes().items():
+            if frame:
+                self._fix(self._frames, end + axis, AxisFact(frame, value, axis, value, note))
+            if kind.space is not None:
+                self._fix(self._spaces, end + axis, AxisFact(kind.space, value, axis, value, note))
+
+    def _known_as(self, node: Expr) -> None:
+        """What an expression says of itself."""
+        facts = known_of(node)
+        if facts is None:
+            return
+        (kind, unit), end = facts, self._ends[id(node)]
+        self._free[id(node)] = False
         if kind is not None:
-            for axis, frame in kind.frames().items():
-                self._fix(self._frames, leaf, leaf, axis, Fixed(frame, leaf, axis, place))
-                if kind.space is not None:
-                    self._fix(self._spaces, leaf, leaf, axis, Fixed(kind.space, leaf, axis, place))
+            self._kind(node, end, kind, f", taken as {kind}")
+        known = self._units[end]
+        if unit is not None and known is not None and unit != known:
+            raise self._of_units(node, Clash(f"{short(node)} is declared in {unit}", (node, known)), unit)
+        self._units[end] = known if unit is None else unit
 
-    def _node(self, place: Place, node: Expr, rule: Rule) -> None:
-        children, links, spaces = node.children(), list(rule.links(node)), list(rule.spaces(node))
-        free = self._free
-        sources = [v for one, _, other, _, _ in links for v in (one, other) if v is not node] or children
-        free[id(node)] = all(free.get(id(v), False) for v in sources) and all(v is not node for v, _, _ in spaces)
-        for value, axis, space in spaces:
-            self._fix(self._spaces, node, value, axis, Fixed(space, value, axis, place))
-        for one, axis, other, its_axis, common in links:
-            a, b = self._slot(node, one, axis), self._slot(node, other, its_axis)
-            self._refuse(place, self._frames.link(a, b, False))
-            if common is not Common.FRAME and one.shape[axis] == _SIX:
-                self._refuse(place, self._spaces.link(a, b, common is Common.DUAL))
-        units = [self._units[_token(child)] for child in children]
+    def _node(self, node: Expr, rule: Rule) -> None:
+        free, ends, children = self._free, self._ends, node.children()
+        end = ends[id(node)] = self._numbered(node)
+        units, is_free, has_axes, needs_places = [], True, node.shape != (), False
+        for child in children:
+            units.append(self._units[ends[id(child)]])
+            child_is_free = free[id(child)]
+            is_free = is_free and child_is_free
+            if child.shape:
+                has_axes, needs_places = True, needs_places or child_is_free
+        if rule is OPEN:
+            free[id(node)], self._units[end] = is_free, None
+            return
+        here = ends
+        if has_axes:
+            links: Iterable[Link] = rule.links(node)
+            if needs_places and rule.entrywise:  # what is made of constants alone says nothing here
+                all_links = list(links)
+                links = [link for link in all_links if not free[id(link[0])]]
+                is_free = not links if all_links else is_free
+            elif needs_places:
+                links = list(links)
+                sources = [v for one, _, other, _, _ in links for v in (one, other) if v is not node] or children
+                is_free = all(free[id(v)] for v in sources) and all(v is not node for v, _, _ in rule.spaces(node))
+                # What is made of constants alone is another value at each place.
+                here = {id(v): self._numbered(v) if free[id(v)] else ends[id(v)] for v in children}
+                here[id(node)] = end
+            self._link(node, rule, links, here)
+        free[id(node)] = is_free
+        if rule.by_operands and not any(units):
+            self._units[end] = None
+            return
         try:
-            unit = rule.unit(node, units, lambda value, axis: self._space(node, value, axis))
+            self._units[end] = rule.unit(node, units, lambda value, axis: self._space(here[id(value)] + axis))
         except Clash as clash:
-            raise self._of_units(place, clash) from None
-        self._units[_token(node)] = unit
+            raise self._of_units(node, clash) from None
         made = rule.made(node, units)
         if made is not None:
-            self._fix(self._spaces, node, node, -node.ndim, Fixed(made, node, -node.ndim, place))
+            self._fix(self._spaces, end - node.ndim, AxisFact(made, node, -node.ndim, node))
+
+    def _link(self, node: Expr, rule: Rule, links: Iterable[Link], ends: Mapping[int, int]) -> None:
+        """What a node says of the axes of its operands and its value."""
+        for value, axis, space in rule.spaces(node):
+            if value.shape[axis] == _SIX:
+                self._fix(self._spaces, ends[id(value)] + axis, AxisFact(space, value, axis, node))
+        for one, axis, other, its_axis, common in links:
+            a, b = ends[id(one)] + axis, ends[id(other)] + its_axis
+            both = self._frames.link(a, b, False)
+            if common is not Common.FRAME and one.shape[axis] == _SIX:
+                both = both or self._spaces.link(a, b, common is Common.DUAL)
+            if both:
+                self._refuse(node, both)
+        for vector, by in rule.unframed(node):
+            if not self._free[id(by)]:
+                self._unframed.append((node, vector, by))
 
     def read_rate(self, state: State, rate: Expr) -> None:
         """A rate has the frame and space of its state, and its unit per second; that of a pose is a twist."""
-        name = f"the rate of {state.name!r}"
-        place = Place(name, rate, rate)
-        if id(state) not in self._free:
-            self._leaf(Place(f"the state {state.name!r}", state, state), state)
+        self._leaf(state)
+        place = f"the rate of {state.name!r}"
+        free = self._free[id(rate)]
+        of_state, of_rate = self._ends[id(state)], self._numbered(rate) if free else self._ends[id(rate)]
         if state.group.flat and state.shape == rate.shape:
             if len(state.shape) != 1 or state.shape[0] != 4:  # a quaternion has two frames, its rate none
                 for axis in range(-state.ndim, 0):
-                    a, b = self._slot(state, state, axis), self._slot(state, rate, axis)
-                    self._refuse(place, self._frames.link(a, b, False))
-                    self._refuse(place, self._spaces.link(a, b, False))
+                    self._refuse(place, self._frames.link(of_state + axis, of_rate + axis, False))
+                    self._refuse(place, self._spaces.link(of_state + axis, of_rate + axis, False))
         elif state.group.rigid:
-            a, b = self._slot(state, state, -1), self._slot(state, rate, -1)
-            self._refuse(place, self._frames.link(a, b, False))
-            if rate.shape == (6,):
-                self._fix(self._spaces, state, rate, -1, Fixed(Space.MOTION, rate, -1, place))
-        of = ONE if state.group.rigid else state.unit
-        unit = self._units.get(_token(rate))
+            self._refuse(place, self._frames.link(of_state - 1, of_rate - 1, False))
+            if rate.shape == (_SIX,):
+                self._fix(self._spaces, of_rate - 1, AxisFact(Space.MOTION, rate, -1, place))
+        of = ONE if state.group.rigid else self._units[of_state]
+        unit = self._units[self._ends[id(rate)]]
         if of is not None and unit is not None and unit != of / SECOND:
             what = f"{state.name!r}, a pose or rotation," if state.group.rigid else f"{state.name!r} in {of}"
             raise self._of_units(place, Clash(f"the rate of {what} is in {of / SECOND}", (rate, unit)), of / SECOND)
 
-    def _slot(self, parent: Expr, value: Expr, axis: int) -> _Slot:
-        """The axis of a value as its parent sees it."""
-        if value is not parent and self._free.get(id(value), False):
-            return (id(value), id(parent)), axis
-        return _token(value), axis
-
-    def _space(self, node: Expr, value: Expr, axis: int) -> Space | None:
-        known = self._spaces.known(self._slot(node, value, axis))
+    def _space(self, slot: int) -> Space | None:
+        known = self._spaces.known(slot)
         return known.fact if known and isinstance(known.fact, Space) else None
 
-    def _fix(self, classes: _Classes, parent: Expr, value: Expr, axis: int, fixed: Fixed) -> None:
-        if isinstance(fixed.fact, Space) and value.shape[axis] != _SIX:
-            return
-        self._refuse(fixed.place, classes.fix(self._slot(parent, value, axis), fixed))
+    def check_unframed(self) -> None:
+        """Raise KindError for a vector in a frame to whose entries a scalar is added."""
+        for node, vector, scalar in self._unframed:
+            known = None if self._free[id(vector)] else self._frames.known(self._ends[id(vector)] - 1)
+            if known:
+                raise KindError(
+                    f"a scalar is added to each entry of a vector in {known.fact!r}.\n  where: {self.place(node)}\n"
+                    f"  at: {self.place(known.at)}, {known.clause(short(known.value))}{known.note}\n"
+                    f"  and: {short(scalar)} is a scalar\n"
+                    "  fix: multiply it by the vector that it belongs to, such as a direction"
+                )
 
-    def _refuse(self, place: Place, both: tuple[Fixed, Fixed] | None) -> None:
+    def _fix(self, classes: AxisClasses, slot: int, fixed: AxisFact) -> None:
+        if isinstance(fixed.fact, Space) and fixed.value.shape[fixed.axis] != _SIX:
+            return
+        self._refuse(fixed.at, classes.fix(slot, fixed))
+
+    def place(self, at: Expr | str) -> str:
+        """Where a node is."""
+        if isinstance(at, str):
+            return at
+        for name, root in self._roots.items():
+            for node in postorder(root):
+                if node is at or any(at is inner for body in bodies(node) for inner in postorder(body)):
+                    return str(NodePlace(name, root, at))
+        return f"the state {at.name!r}" if isinstance(at, State) else short(at)
+
+    def _refuse(self, at: Expr | str, both: tuple[AxisFact, AxisFact] | None) -> None:
         if both is None:
             return
         one, other = both
         if isinstance(one.fact, str) and isinstance(other.fact, str):
             what = f"two frames meet: {one.fact!r} and {other.fact!r}"
-            fix = remedy_of_frames(self._leaves, one.fact, other.fact, one.value, other.value)
+            fix = remedy_of_frames(self.leaves, one.fact, other.fact, one.value, other.value)
         else:
             what = "a twist meets a wrench or momentum, or is paired with another twist"
             fix = remedy_of_spaces()
-        raise KindError(f"{what}.\n  where: {place}\n  at: {one}\n  and: {other}\n  fix: {fix}")
+        texts = (f"{self.place(fact.at)}, {fact.clause(short(fact.value))}{fact.note}" for fact in both)
+        at_one, at_other = texts
+        raise KindError(f"{what}.\n  where: {self.place(at)}\n  at: {at_one}\n  and: {at_other}\n  fix: {fix}")
 
-    def _of_units(self, place: Place, clash: Clash, wanted: Unit = ONE) -> KindError:
+    def _of_units(self, at: Expr | str, clash: Clash, wanted: Unit = ONE) -> KindError:
         units = " and ".join(dict.fromkeys(str(unit) for _, unit in clash.values))
-        lines = [f"{clash}, got {units}.", f"  where: {place}"]
+        lines = [f"{clash}, got {units}.", f"  where: {self.place(at)}"]
         lines += [
-            f"  {word}: {short(value)} is in {unit}{_said(value)}"
+            f"  {word}: {short(value)} is in {unit}{_declared_in_words(value)}"
             for word, (value, unit) in zip(("at", "and"), clash.values, strict=False)
         ]
         return KindError("\n".join([*lines, f"  fix: {remedy_of_units([unit for _, unit in clash.values], wanted)}"]))
 
+    def knows(self, value: Expr) -> bool:
+        """Whether anything is known of a value."""
+        end = self._ends[id(value)]
+        axes = range(-2 if value.shape == (4,) else -value.ndim, 0)
+        facts = (classes.known(end + axis) for axis in axes for classes in (self._frames, self._spaces))
+        return self._units.get(end) is not None or any(facts)
+
+    def unit(self, value: Expr) -> Unit | None:
+        """The unit of a value, of a six-vector that of its angular part; None where it is open."""
+        return self._units.get(self._ends[id(value)])
+
+    def spaces(self, value: Expr) -> list[Space | None]:
+        """The space of each axis of a value, None where it is open or not of length six."""
+        return [self._space(self._ends[id(value)] + axis) for axis in range(-value.ndim, 0)]
+
     def description(self, value: Expr) -> str:
         """What is known of a value: its kind, frames and unit, or open."""
-        spaces = [self._space(value, value, axis) for axis in range(-value.ndim, 0)]
+        end, spaces = self._ends[id(value)], self.spaces(value)
         axes = (-2, -1) if value.ndim == 2 or value.shape == (4,) else (-1,) if value.ndim == 1 else ()
-        frames = [self._frames.known(self._slot(value, value, axis)) for axis in axes]
+        frames = [self._frames.known(end + axis) for axis in axes]
         names = ["open" if frame is None else repr(frame.fact) for frame in frames]
         parts = []
         if len(value.shape) == 1 and spaces[0] is not None:
             parts.append(spaces[0].value)
-        if value.is_group_element or (value.shape == (4,) and any(frames)):
+        if value.is_group_element or (value.shape in ((4, 4), (4,)) and any(frames)):
             parts.append(f"from {names[-1]} to {names[0]}")
         elif any(frames):
             parts.append("in " + " by ".join(dict.fromkeys(names)))
-        unit = self._units.get(_token(value))
-        parts.append("unit open" if unit is None else f"unit {unit}")
+        unit = self.unit(value)
+        if unit is not None or value.shape != (4, 4):
+            parts.append("unit open" if unit is None else f"unit {unit}")
         return ", ".join(parts)
 
 
-def check_kinds(roots: Mapping[str, Expr], rates: Mapping[State, Expr], leaves: Iterable[Leaf]) -> Inference | None:
-    """What is known of all values of a system; None where no leaf declares anything.
-
-    Args:
-        roots: every expression of a system, by the name used in messages.
-        rates: the rate of every state.
-        leaves: all leaves.
-    Raises: KindError where two frames, spaces or units do not fit.
-    """
-    known = list(leaves)
-    if not any(leaf.declares for leaf in (*known, *rates)):
-        return None
-    return infer_kinds(roots, rates, known)
-
-
-def infer_kinds(roots: Mapping[str, Expr], rates: Mapping[State, Expr], leaves: Sequence[Leaf]) -> Inference:
+def infer_kinds(
+    roots: Mapping[str, Expr], rates: Mapping[State, Expr], leaves: Sequence[Leaf], nodes: Sequence[Expr] | None = None
+) -> Inference:
     """What is known of all values of a system, whether leaves declare anything or not. Raises KindError."""
     inference = Inference([*leaves, *rates])
-    for name, root in roots.items():
-        inference.read(name, root)
+    nodes = postorder(*roots.values()) if nodes is None else nodes
+    inference.read(roots, nodes)
     for state, rate in rates.items():
         inference.read_rate(state, rate)
+    inference.check_unframed()
+    kinds = map(kind_of, (*inference.leaves, *nodes))
+    if any(kind is not None and kind.bodies() for kind in kinds):
+        check_bodies(nodes, roots, rates, BodyInference(inference.leaves, inference.place, short))
     return inference
 
 
-def bodies(node: Expr) -> list[Expr]:
-    """The expressions that a node holds besides its children."""
-    if type(node).outline is Expr.outline:
-        return []
-    children = {id(child) for child in node.children()}
-    return [part for _, part in node.outline() if id(part) not in children]
-
-
-def short(value: Expr, longest: int = 60) -> str:
-    """The text of a value, cut off where it is long."""
-    text = repr(value)
-    return text if len(text) <= longest else f"{text[:longest]}..."
-
-
-def _said(value: Expr) -> str:
-    """What a leaf declares."""
-    return f", declared {value.kind}" if isinstance(value, Leaf) and value.kind is not None else ""
-
-
-def _token(value: Expr) -> _Token:
-    """What stands for a value: leaves of one name are one, and equal constants of two units are two."""
-    return value.key() if value.is_leaf and not isinstance(value, Constant) else id(value)
+def _declared_in_words(value: Expr) -> str:
+    """What a value declares."""
+    kind = kind_of(value)
+    return "" if kind is None else f", declared {kind}"

@@ -7,6 +7,7 @@ import enum
 from typing import Any, ClassVar
 
 from ...errors import ModelError
+from .bodies import Acts, Bodies, Moves
 from .unit import JOULE, KILOGRAM, METRE, ONE, SECOND, Unit, parsed
 
 Shape = tuple[int, ...]
@@ -26,11 +27,11 @@ class Space(enum.Enum):
 
 @dataclasses.dataclass(frozen=True)
 class Kind:
-    """Base of all kinds. The unit of a six-vector is that of its angular part; its linear part has metres more or less.
+    """Base of all kinds. The unit of a six-vector is that of its angular part; the linear part differs by metres.
 
     Attributes:
         unit: what the kind says of units; None where it says nothing.
-    Raises: ModelError where a leaf has another shape, or a frame is no name.
+    Raises: ModelError where a leaf has another shape, or a frame is no name. A frame that is not named is open.
     """
 
     shapes: ClassVar[tuple[Shape, ...]] = ()
@@ -43,17 +44,25 @@ class Kind:
         return f"{type(self).__name__}({', '.join(names)})"
 
     def frames(self) -> dict[int, str]:
-        """The frame of each axis, counted from the last."""
+        """The frame of each axis, counted from the last, as far as they are named."""
+        return {axis: name for axis, name in self.axes().items() if name}
+
+    def axes(self) -> dict[int, str]:
+        """The frame of each axis, counted from the last; "" where it is open."""
         raise NotImplementedError
 
+    def bodies(self) -> Bodies:
+        """Which body moves against which, or is acted upon; None where nothing is said of that."""
+        return None
+
     def check(self, name: str, shape: Shape) -> None:
-        """Raise ModelError for a leaf of another shape, or a frame that is no name."""
+        """Raise ModelError if a leaf has another shape, or if a frame is not a name."""
         if shape not in self.shapes:
             wanted = " or ".join(map(str, self.shapes))
             raise ModelError(f"{name!r}: {type(self).__name__} is for shape {wanted}, got {shape}")
         for field in dataclasses.fields(self):
             frame = getattr(self, field.name)
-            if not isinstance(frame, str) or (not frame and field.default is dataclasses.MISSING):
+            if not isinstance(frame, str):
                 raise ModelError(f"{name!r}: {type(self).__name__} expects the name of a frame, got {frame!r}")
 
 
@@ -61,10 +70,10 @@ class Kind:
 class _OfSix(Kind):
     """Base of six-vectors in one frame."""
 
-    frame: str
+    frame: str = ""
     shapes: ClassVar[tuple[Shape, ...]] = ((6,),)
 
-    def frames(self) -> dict[int, str]:
+    def axes(self) -> dict[int, str]:
         return {-1: self.frame}
 
 
@@ -73,8 +82,8 @@ class Twist(_OfSix):
     """A twist (6,): m/s and rad/s. `unit="1/s2"` makes it the rate of one, `unit="rad"` a displacement.
 
     Attributes:
-        frame: whose axes and origin its numbers refer to.
-        of, relative_to: which frame moves, and against which; messages show them and nothing checks them.
+        frame: the frame of its coordinates.
+        of, relative_to: which body moves, and against which one. Sums of twists and rates of poses are held to it.
     Raises: ModelError where a leaf has another shape, or a frame is no name.
     Example: `tx.State("V", (6,), kind=tx.Twist("body", of="craft", relative_to="world"))`.
     """
@@ -84,19 +93,28 @@ class Twist(_OfSix):
     unit = ONE / SECOND
     space = Space.MOTION
 
+    def bodies(self) -> Bodies:
+        known = {self.of: 1, self.relative_to: -1}
+        return Moves({name: n for name, n in known.items() if name}) if self.of != self.relative_to else None
+
 
 @dataclasses.dataclass(frozen=True)
 class Wrench(_OfSix):
     """A wrench (6,): force in N and torque in N m. Its pairing with a twist of the same frame is a power.
 
     Attributes:
-        frame: whose axes and origin its numbers refer to.
+        frame: the frame of its coordinates.
+        on: the body on which it acts; wrenches on two bodies are not added.
     Raises: ModelError where a leaf has another shape, or the frame is no name.
     Example: `tx.Control("F", (6,), kind=tx.Wrench("body"))`.
     """
 
+    on: str = ""
     unit = JOULE
     space = Space.FORCE
+
+    def bodies(self) -> Bodies:
+        return Acts(self.on) if self.on else None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -104,8 +122,8 @@ class Momentum(_OfSix):
     """A spatial momentum (6,): linear in N s and angular in N m s. Its rate is a wrench.
 
     Attributes:
-        frame: whose axes and origin its numbers refer to.
-    Raises: ModelError where a leaf has another shape, or the frame is no name.
+        frame: the frame of its coordinates.
+    Raises: ModelError if a leaf has another shape, or if the frame is not a name.
     Example: `tx.State("h", (6,), kind=tx.Momentum("body"))`.
     """
 
@@ -115,13 +133,13 @@ class Momentum(_OfSix):
 
 @dataclasses.dataclass(frozen=True)
 class Inertia(_OfSix):
-    """An inertia, spatial (6, 6) or of rotation (3, 3): it makes a momentum of a twist or rate of the same frame.
+    """An inertia, spatial (6, 6) or rotational (3, 3): it maps a twist or rate to a momentum in the same frame.
 
     The unit is that of its angular block, kg m2.
 
     Attributes:
-        frame: whose axes and origin its numbers refer to.
-    Raises: ModelError where a leaf has another shape, or the frame is no name.
+        frame: the frame of its coordinates.
+    Raises: ModelError if a leaf has another shape, or if the frame is not a name.
     Example: `tx.Parameter("M", (6, 6), kind=tx.kinds.Inertia("body"))`.
     """
 
@@ -129,24 +147,24 @@ class Inertia(_OfSix):
     unit = KILOGRAM * METRE**2
     space = Space.FORCE  # of both axes: what it gives, and the dual of what it takes
 
-    def frames(self) -> dict[int, str]:
+    def axes(self) -> dict[int, str]:
         return {-2: self.frame, -1: self.frame}
 
 
 @dataclasses.dataclass(frozen=True)
 class FreeVector(Kind):
-    """A vector (3,) with a direction and no place: a force, a velocity, an angular rate. `unit=` says which.
+    """A vector (3,) without a point of application: a force, a velocity, an angular rate. `unit=` distinguishes them.
 
     Attributes:
-        frame: whose axes its numbers refer to.
-    Raises: ModelError where a leaf has another shape, or the frame is no name.
+        frame: the axes of its coordinates.
+    Raises: ModelError if a leaf has another shape, or if the frame is not a name.
     Example: `tx.Control("F", (3,), kind=tx.FreeVector("body"), unit="N")`.
     """
 
-    frame: str
+    frame: str = ""
     shapes = ((3,),)
 
-    def frames(self) -> dict[int, str]:
+    def axes(self) -> dict[int, str]:
         return {-1: self.frame}
 
 
@@ -155,8 +173,8 @@ class Point(FreeVector):
     """The position (3,) of a point, in m.
 
     Attributes:
-        frame: whose axes and origin its numbers refer to.
-    Raises: ModelError where a leaf has another shape, or the frame is no name.
+        frame: the frame of its coordinates.
+    Raises: ModelError if a leaf has another shape, or if the frame is not a name.
     Example: `tx.State("p", (3,), kind=tx.Point("world"))`.
     """
 
@@ -169,26 +187,26 @@ class Rotation(Kind):
 
     Attributes:
         to, source: the frames a and b.
-    Raises: ModelError where a leaf has another shape, or a frame is no name.
+    Raises: ModelError if a leaf has another shape, or if a frame is not a name.
     Example: `tx.State("R", group=tx.SO3, kind=tx.kinds.Rotation("world", "body"))`.
     """
 
-    to: str
-    source: str
+    to: str = ""
+    source: str = ""
     shapes: ClassVar[tuple[Shape, ...]] = ((3, 3), (4,))
     unit: ClassVar[Unit | None] = ONE
 
-    def frames(self) -> dict[int, str]:
+    def axes(self) -> dict[int, str]:
         return {-2: self.to, -1: self.source}
 
 
 @dataclasses.dataclass(frozen=True)
 class Pose(Rotation):
-    """A pose (4, 4), T_ab: points in frame b become points in frame a, in m. A state has its twist in frame b.
+    """A pose (4, 4), T_ab: it maps points in frame b to frame a, in m. The rate of a state is its twist in frame b.
 
     Attributes:
         to, source: the frames a and b.
-    Raises: ModelError where a leaf has another shape, or a frame is no name.
+    Raises: ModelError if a leaf has another shape, or if a frame is not a name.
     Example: `tx.State("g", group=tx.SE3, kind=tx.kinds.Pose("world", "body"))`.
     """
 

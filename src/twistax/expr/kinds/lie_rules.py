@@ -12,7 +12,7 @@ from .unit import METRE, ONE, Unit
 
 
 @dataclasses.dataclass(frozen=True)
-class _Fixed(Rule):
+class _FixedUnit(Rule):
     """Base of rules with a fixed unit."""
 
     gives: Unit | None = None
@@ -22,7 +22,7 @@ class _Fixed(Rule):
 
 
 @dataclasses.dataclass(frozen=True)
-class Frames(_Fixed):
+class Frames(_FixedUnit):
     """Pairs of axes with one frame, by the number of the operand, the last number being the result."""
 
     pairs: tuple[tuple[int, int, int, int], ...] = ()
@@ -55,9 +55,10 @@ class _Bracket(OneFrame):
 
 
 @dataclasses.dataclass(frozen=True)
-class ChangeOfFrame(_Fixed):
+class ChangeOfFrame(_FixedUnit):
     """Ad_T or Ad*_T, as a matrix: from the frame on the right of T to that on its left."""
 
+    keeps_bodies = True  # of what it is multiplied by
     gives: Unit | None = ONE
     space: Space = Space.MOTION
 
@@ -76,6 +77,7 @@ class Carried(Rule):
     """Ad_T xi or Ad*_T F without the matrix."""
 
     space: Space = Space.MOTION
+    by_operands = keeps_bodies = True
 
     def links(self, node: Any) -> Iterable[Link]:
         transform, vector = node.children()
@@ -94,6 +96,8 @@ class Carried(Rule):
 class _HalfOfSix(Rule):
     """The linear or the angular part of a six-vector."""
 
+    by_operands = keeps_bodies = True
+
     def links(self, node: Any) -> Iterable[Link]:
         (vector,) = node.children()
         yield vector, -vector.ndim, node, -node.ndim, Common.FRAME
@@ -108,6 +112,8 @@ class _HalfOfSix(Rule):
 
 class _JoinedHalves(Rule):
     """A six-vector of both parts: their units say whether it is a twist or a wrench."""
+
+    by_operands = True
 
     def links(self, node: Any) -> Iterable[Link]:
         for value in node.children():
@@ -138,7 +144,7 @@ class _JoinedHalves(Rule):
 
 
 @dataclasses.dataclass(frozen=True)
-class OfTwist(_Fixed):
+class OfTwist(_FixedUnit):
     """Exp and Log, hat and vee: the operand or the result of shape (6,) is a twist; a frame of (3,) is kept or open."""
 
     takes: Unit | None = None
@@ -156,6 +162,8 @@ class OfTwist(_Fixed):
 
 class _Reordered(Rule):
     """The same value in the other order."""
+
+    by_operands = keeps_bodies = True
 
     def links(self, node: Any) -> Iterable[Link]:
         (value,) = node.children()

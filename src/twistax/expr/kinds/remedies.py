@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from .declare import kind_of
 from .unit import Unit
 
 
 def remedy_of_frames(leaves: Iterable[Any], one: str, other: str, first: Any, second: Any) -> str:
     """The operator between two frames, made of a rotation or pose that a leaf declares, where there is one."""
     for leaf in leaves:
-        frames: dict[int, str] = {} if leaf.kind is None else leaf.kind.frames()
+        kind = kind_of(leaf)
+        frames: dict[int, str] = {} if kind is None else kind.frames()
         to, source = frames.get(-2), frames.get(-1)
         if {to, source} != {one, other} or to == source:
             continue
@@ -36,7 +38,7 @@ def _likely(value: Any) -> tuple[bool, bool, bool]:
 def _carried(leaf: Any, element: str, moved: Any) -> str:
     name = moved.name
     if leaf.shape == (4, 4) and moved.shape == (6,):
-        space = getattr(moved.kind, "space", None)
+        space = getattr(kind_of(moved), "space", None)
         wrench = "" if space is None or space.name == "MOTION" else "Dual"
         return f"tx.lie.SE3Adjoint{wrench}({element}) @ {name}"
     if leaf.shape == (4, 4):

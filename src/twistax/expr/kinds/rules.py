@@ -14,13 +14,12 @@ import dataclasses
 import enum
 from collections.abc import Callable, Iterable, Sequence
 from fractions import Fraction
-from typing import Any, TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
+from .bodies import Acts, Bodies, Moves, summed
 from .kinds import Space
-from .unit import METRE, ONE, Unit
+from .unit import ONE, Unit
 
-#: Two axes and what they have in common.
-Link: TypeAlias = "tuple[Any, int, Any, int, Common]"
 Units: TypeAlias = Sequence[Unit | None]
 #: The space of an axis of a value, as far as it is known.
 SpaceOf: TypeAlias = Callable[[Any, int], Space | None]
@@ -34,6 +33,12 @@ class Common(enum.Enum):
     FRAME = "frame"
 
 
+#: The sizes of axes that may have a frame: of vectors, rotations and poses, six-vectors.
+_WITH_FRAME = (3, 4, 6)
+#: Two axes and what they have in common.
+Link: TypeAlias = tuple[Any, int, Any, int, Common]
+
+
 class Clash(Exception):
     """Two operands whose units do not fit, or one whose unit does not fit the node; `values` names one or two."""
 
@@ -44,28 +49,43 @@ class Clash(Exception):
 
 @dataclasses.dataclass(frozen=True)
 class Rule:
-    """A rule that says nothing: frames and units of operands and result stay open, whatever their shapes.
+    """A rule without constraints: frames and units of operands and result stay undetermined, whatever their shapes.
 
     Subclass it for a node of your own, as a frozen dataclass.
 
-    Raises: a system raises KindError where operands do not fit a rule; `unit` raises `Clash`, which becomes one.
+    Raises: a system raises KindError where operands violate a rule; `unit` raises `Clash`, which becomes one.
     """
 
+    #: Whether the unit is open where those of all operands are.
+    by_operands: ClassVar[bool] = False
+    #: Whether the result is of the bodies of the last operand.
+    keeps_bodies: ClassVar[bool] = False
+    #: Whether each link is one from an operand to the result.
+    entrywise: ClassVar[bool] = False
+
     def links(self, node: Any) -> Iterable[Link]:
-        """The axes that have something in common."""
+        """The pairs of axes that correspond."""
         return ()
 
     def spaces(self, node: Any) -> Iterable[tuple[Any, int, Space]]:
-        """The axes whose space the node fixes."""
+        """The axes whose space the node determines."""
+        return ()
+
+    def unframed(self, node: Any) -> Iterable[tuple[Any, Any]]:
+        """Pairs of a vector that can be in no frame, and what makes it so."""
         return ()
 
     def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
-        """The unit of the result from those of the operands, None for an open one. Raises Clash."""
+        """The unit of the result from those of the operands, None where unknown. Raises Clash."""
         return None
 
     def made(self, node: Any, units: Units) -> Space | None:
-        """The space of the result, where the units of the operands decide it."""
+        """The space of the result, where the units of the operands determine it."""
         return None
+
+    def bodies(self, node: Any, known: Sequence[Bodies]) -> Bodies:
+        """Which body the result is of, from those of the operands. Raises BodyClash."""
+        return known[-1] if self.keeps_bodies else None
 
 
 #: Stated by nodes that can be anything: tables, maps over batches, functions of users.
@@ -75,15 +95,15 @@ DECLARED = Rule()
 
 
 @dataclasses.dataclass(frozen=True)
-class Fixed(Rule):
+class FixedUnits(Rule):
     """A function of fixed units, such as the pressure in Pa of an altitude in m; of operands of any shape.
 
     Attributes:
         takes: the unit of each operand, None for any.
-        gives: the unit of the result, None for an open one.
+        gives: the unit of the result, None if unknown.
         one_frame: whether operands and result are vectors in one frame.
     Raises: a system raises KindError where an operand is known to have another unit.
-    Example: `kinds = tx.kinds.Fixed((tx.kinds.Unit.of("m"),), tx.kinds.Unit.of("Pa"))` in the class of a node.
+    Example: `kinds = tx.kinds.FixedUnits((tx.kinds.Unit.of("m"),), tx.kinds.Unit.of("Pa"))` in the class of a node.
     """
 
     takes: tuple[Unit | None, ...] = ()
@@ -100,7 +120,7 @@ class Fixed(Rule):
         return self.gives
 
 
-def _common_unit(values: Sequence[Any], units: Units, what: str) -> Unit | None:
+def common_unit(values: Sequence[Any], units: Units, what: str) -> Unit | None:
     """The unit that all known units are equal to. Raises Clash."""
     known = [(value, unit) for value, unit in zip(values, units, strict=True) if unit is not None]
     for value, unit in known[1:]:
@@ -118,20 +138,25 @@ def _number(node: Any, value: Any, unit: Unit | None) -> None:
 def _entries(node: Any, values: Sequence[Any], how: Common) -> Iterable[Link]:
     """Corresponding axes of what is combined entry by entry."""
     shape = node.shape
-    for value in values if shape else ():
-        for axis, (size, wanted) in enumerate(zip(reversed(value.shape), reversed(shape)), 1):
-            if size == wanted > 1:
-                yield value, -axis, node, -axis, how
+    axes = [(-axis, size) for axis, size in enumerate(reversed(shape), 1) if size in _WITH_FRAME]
+    for value in values if axes else ():
+        its = value.shape
+        for axis, size in axes:
+            if len(its) >= -axis and its[axis] == size:
+                yield value, axis, node, axis, how
 
 
 def _groups(node: Any, *how: Common) -> Iterable[Link]:
     """The groups of `shared_orders`; the first ones as said, the others SAME."""
     for k, axes in enumerate(node.shared_orders()):
-        for value, axis in axes[1:]:
-            yield *axes[0], value, axis, how[k] if k < len(how) else Common.SAME
+        value, axis = axes[0]
+        if value.shape[axis] in _WITH_FRAME:
+            common = how[k] if k < len(how) else Common.SAME
+            for other, its_axis in axes[1:]:
+                yield value, axis, other, its_axis, common
 
 
-def _six(value: Any, space: SpaceOf) -> bool:
+def six(value: Any, space: SpaceOf) -> bool:
     """Whether a value is known to be made of six-vectors, whose entries differ in unit."""
     return any(size == 6 and space(value, k - value.ndim) is not None for k, size in enumerate(value.shape))
 
@@ -148,31 +173,53 @@ def _product(values: Sequence[Any], units: Units) -> Unit | None:
 
 @dataclasses.dataclass(frozen=True)
 class Terms(Rule):
-    """Operands and result agree in everything; the first `conditions` operands are apart from that."""
+    """Operands and result agree in everything; the first `conditions` operands are apart from that.
+
+    What adds a scalar to each entry of a vector has no meaning in other axes.
+
+    Attributes:
+        conditions: how many operands come first that have nothing to do with the result.
+        compares: whether the result is true or false.
+        signs: of the terms of a sum; the last one is that of all others.
+    """
 
     conditions: int = 0
     compares: bool = False
+    signs: tuple[int, ...] = ()
+    by_operands = entrywise = True
+
+    def unframed(self, node: Any) -> Iterable[tuple[Any, Any]]:
+        if not self.signs or node.shape not in ((3,), (6,)):
+            return ()
+        return ((node, value) for value in node.children() if value.shape == ())
 
     def links(self, node: Any) -> Iterable[Link]:
         return _entries(node, node.children()[self.conditions :], Common.SAME)
 
     def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
         values = node.children()[self.conditions :]
-        unit = _common_unit(values, units[self.conditions :], f"{type(node).__name__} has one unit")
+        unit = common_unit(values, units[self.conditions :], f"{type(node).__name__} has one unit")
         return None if self.compares else unit
+
+    def bodies(self, node: Any, known: Sequence[Bodies]) -> Bodies:
+        values = node.children()
+        return (
+            summed(values, known, [*self.signs, *self.signs[-1:] * len(values)][: len(values)]) if self.signs else None
+        )
 
 
 @dataclasses.dataclass(frozen=True)
-class Power(Rule):
+class UnitPower(Rule):
     """Entry by entry, the unit to a power; None reads the power from a constant exponent."""
 
     power: Fraction | None = None
+    entrywise = True
 
     def links(self, node: Any) -> Iterable[Link]:
         return _entries(node, node.children()[:1], Common.FRAME)
 
     def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
-        if _six(node.children()[0], space):
+        if six(node.children()[0], space):
             return None
         if self.power is not None:
             return None if units[0] is None else units[0] ** self.power
@@ -186,7 +233,7 @@ class Power(Rule):
 
 
 @dataclasses.dataclass(frozen=True)
-class Numbers(Rule):
+class NumberRule(Rule):
     """Takes angles in rad and numbers without unit, and gives one; `of_one_unit`: takes operands of one unit."""
 
     of_one_unit: bool = False
@@ -194,7 +241,7 @@ class Numbers(Rule):
 
     def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
         if self.of_one_unit:
-            _common_unit(node.children(), units, f"{type(node).__name__} takes operands of one unit")
+            common_unit(node.children(), units, f"{type(node).__name__} takes operands of one unit")
         else:
             for value, unit in zip(node.children(), units, strict=True):
                 _number(node, value, unit)
@@ -204,15 +251,21 @@ class Numbers(Rule):
 class _Product(Rule):
     """Entry by entry: one frame; the units multiply."""
 
+    by_operands = entrywise = True
+
     def links(self, node: Any) -> Iterable[Link]:
         values = node.children()
         vectors = [value for value in values if value.ndim]
         return _entries(node, vectors, Common.SAME if len(vectors) == 1 else Common.FRAME)
 
     def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
-        if sum(_six(value, space) for value in node.children()) > 1:
-            return None
-        return self.combined(node, units)
+        values = node.children()
+        if node.shape == (4, 4) and any(value.is_group_element for value in values):
+            for value, unit in zip(values, units, strict=True):
+                if unit not in (None, ONE):
+                    raise Clash("a pose has no unit: multiply its rotation or its position", (value, unit))
+        unit = self.combined(node, units)
+        return None if unit is None or sum(six(value, space) for value in values) > 1 else unit
 
     def combined(self, node: Any, units: Units) -> Unit | None:
         return _product(node.children(), units)
@@ -227,11 +280,12 @@ class _Quotient(_Product):
 
 
 @dataclasses.dataclass(frozen=True)
-class Matrices(Rule):
+class MatrixRule(Rule):
     """Products, inverses and the like: the axes of `shared_orders`, of which some groups are dual; powers of units."""
 
     how: tuple[Common, ...] = ()
     powers: tuple[int, ...] = (1,)
+    by_operands = True
 
     def links(self, node: Any) -> Iterable[Link]:
         return _groups(node, *self.how)
@@ -245,7 +299,7 @@ class Matrices(Rule):
         return total
 
 
-class _Pairing(Matrices):
+class _Pairing(MatrixRule):
     """A product of matrices and vectors. A vector with itself is the square of its length, and no power."""
 
     def links(self, node: Any) -> Iterable[Link]:
@@ -256,49 +310,35 @@ class _Pairing(Matrices):
 
     def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
         left, right = node.children()
-        if left.ndim == 1 and left.key() == right.key() and _six(left, space):
+        if left.ndim == 1 and left.key() == right.key() and six(left, space):
             return None
         return super().unit(node, units, space)
 
-
-@dataclasses.dataclass(frozen=True)
-class Reduced(Rule):
-    """A sum or a norm of all entries: in their unit."""
-
-    def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
-        return None if _six(node.children()[0], space) else units[0]
+    def bodies(self, node: Any, known: Sequence[Bodies]) -> Bodies:
+        """A change of frame keeps them."""
+        left = node.children()[0]
+        return known[-1] if left.is_group_element or (left.kinds or OPEN).keeps_bodies else None
 
 
 @dataclasses.dataclass(frozen=True)
-class Joined(Rule):
-    """Pieces side by side: one unit if all have it. Vectors (3,) that make (6,) or rows of them have one frame."""
+class Solved(MatrixRule):
+    """A^-1 b: what a wrench on a body gives is the acceleration of that body."""
 
-    rows: bool = False
-
-    def links(self, node: Any) -> Iterable[Link]:
-        values = node.children()
-        halves = node.shape == (6,) and all(value.shape == (3,) for value in values)
-        if halves or (self.rows and node.shape[-1:] == (3,)):
-            for value in values:
-                if value.shape[-1:] == (3,):
-                    yield value, -1, node, -1, Common.FRAME
-
-    def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
-        distinct = set(units)
-        return distinct.pop() if len(distinct) == 1 else None
+    def bodies(self, node: Any, known: Sequence[Bodies]) -> Bodies:
+        return Moves({known[-1].on: 1}) if isinstance(known[-1], Acts) else None
 
 
-SUM, CHOICE, COMPARISON = Terms(), Terms(conditions=1), Terms(compares=True)
+SUM, DIFFERENCE, NEGATIVE = Terms(signs=(1,)), Terms(signs=(1, -1)), Terms(signs=(-1,))
+ALIKE, CHOICE, COMPARISON = Terms(), Terms(conditions=1), Terms(compares=True)
 PRODUCT, QUOTIENT = _Product(), _Quotient()
-POWER, SIGN, SIZE = Power(), Power(Fraction(0)), Power(Fraction(1))
-SQUARE, ROOT = Power(Fraction(2)), Power(Fraction(1, 2))
-NUMBERS, RATIO = Numbers(), Numbers(of_one_unit=True)
+POWER, SIGN, SIZE = UnitPower(), UnitPower(Fraction(0)), UnitPower(Fraction(1))
+SQUARE, ROOT = UnitPower(Fraction(2)), UnitPower(Fraction(1, 2))
+NUMBERS, RATIO = NumberRule(), NumberRule(of_one_unit=True)
 MATRIX_PRODUCT = _Pairing((Common.DUAL,), (1, 1))
-TRANSPOSE, OUTER = Matrices(), Matrices((), (1, 1))
-INVERSE = Matrices((Common.DUAL, Common.DUAL), (-1,))
-SOLVE = Matrices((Common.SAME, Common.DUAL), (-1, 1))
-DIAGONAL = Matrices((Common.FRAME,), (1,))
-REDUCED, PIECES, ROWS = Reduced(), Joined(), Joined(rows=True)
+TRANSPOSE, OUTER = MatrixRule(), MatrixRule((), (1, 1))
+INVERSE = MatrixRule((Common.DUAL, Common.DUAL), (-1,))
+SOLVE = Solved((Common.SAME, Common.DUAL), (-1, 1))
+DIAGONAL = MatrixRule((Common.FRAME,), (1,))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -306,6 +346,7 @@ class OneFrame(Rule):
     """All these axes have one frame; the units multiply. `axes`: of each operand, then of the result."""
 
     axes: tuple[tuple[int, ...], ...]
+    by_operands = True
 
     def links(self, node: Any) -> Iterable[Link]:
         values = [*node.children(), node]
@@ -320,6 +361,8 @@ class OneFrame(Rule):
 class _Cross(Rule):
     """A vector product: one frame, units multiply."""
 
+    by_operands = True
+
     def links(self, node: Any) -> Iterable[Link]:
         left, right = node.children()
         for value in (right, node):
@@ -329,30 +372,4 @@ class _Cross(Rule):
         return _product(node.children(), units)
 
 
-class _Part(Rule):
-    """A part of an array: whole axes keep their frame; the rotation and the position of a pose have its frames."""
-
-    def links(self, node: Any) -> Iterable[Link]:
-        base, index = node.base, node.index
-        if base.shape == (4, 4) and isinstance(index, tuple) and len(index) == 2:
-            if index[0] == slice(None, 3) or index[0] == slice(0, 3):
-                yield base, -2, node, -node.ndim, Common.FRAME
-                if node.shape == (3, 3):
-                    yield base, -1, node, -1, Common.FRAME
-        elif base.shape == (3, 3) and node.shape == (3,):
-            parts = index if isinstance(index, tuple) else (index,)
-            kept = -1 if isinstance(parts[0], int) else -2
-            yield base, kept, node, -1, Common.FRAME
-        elif node.shape in ((3,), (6,)) and base.shape == (6,) and isinstance(index, slice):
-            yield base, -1, node, -1, Common.FRAME
-
-    def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
-        base, index = node.base, node.index
-        if base.shape == (4, 4) and base.is_group_element and isinstance(index, tuple) and len(index) == 2:
-            if isinstance(index[1], int) and index[1] in (3, -1):
-                return METRE
-            return ONE if index[1] == slice(None, 3) else None
-        return None if _six(base, space) or (base.shape == (6,) and not base.is_leaf) else units[0]
-
-
-CROSS, PART = _Cross(), _Part()
+CROSS = _Cross()

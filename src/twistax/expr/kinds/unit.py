@@ -41,8 +41,11 @@ class Unit:
         return Unit(tuple(int(n) if n == int(n) else n for n in powers))
 
     def __str__(self) -> str:
-        parts = [name + ("" if n == 1 else str(n)) for name, n in zip(_BASE, self.exponents) if n]
-        return " ".join(parts) or "1"
+        above, below = (
+            [name + ("" if n * sign == 1 else str(n * sign)) for name, n in zip(_BASE, self.exponents) if n * sign > 0]
+            for sign in (1, -1)
+        )
+        return (" ".join(above) or "1") + (f"/{' '.join(below)}" if below else "")
 
     __repr__ = __str__
 

@@ -28,12 +28,12 @@ from .spatial import QDCM, Quaternion
 class EulerRotation(Expr):
     """The rotation of three Euler angles in rad, in the order of the sequence. Shapes: (3,) -> (3, 3).
 
-    "xyz" turns by angles[0] about the fixed x axis, then about the fixed y axis, then z: R = Rz Ry Rx, and the angles
-    are roll, pitch, yaw. Capital letters turn about the body's own axes: "ZYX" takes yaw, pitch, roll for the same R.
+    "xyz" rotates by angles[0] about the fixed x axis, then about the fixed y axis, then z: R = Rz Ry Rx, and the angles
+    are roll, pitch, yaw. Capital letters are rotations about body axes: "ZYX" takes yaw, pitch, roll for the same R.
 
     Attributes:
         angles: (3,), rad.
-        sequence: three axes, one case, none twice in a row: twelve about fixed axes, twelve about the body's own.
+        sequence: three axes, one case, no axis twice in succession: twelve about fixed axes, twelve about body axes.
     Raises:
         ShapeError: angles is not of shape (3,).
         InputError: another sequence.
@@ -66,15 +66,16 @@ class EulerAngles(Expr):
     """The Euler angles in rad, in the order of the sequence, of a rotation. Shapes: (3, 3) -> (3,).
 
     The middle angle is in [-pi/2, pi/2], or in [0, pi] where the first axis is the last; the others are in [-pi, pi].
-    At an end of the middle one only the sum or difference of the others is known: the first about fixed axes, or the
-    last about the body's own, is 0 there, and so is its derivative and that of the middle one.
+    At the limits of the middle angle only the sum or difference of the others is determined: the first about fixed
+        axes,
+    or the last about body axes, is set to 0 there, and its derivative and that of the middle one are 0.
 
     Attributes:
         rotation: R (3, 3).
         sequence: as of `EulerRotation`.
     Raises:
         ShapeError: rotation is not of shape (3, 3).
-        InputError: another sequence, or a constant that is no rotation.
+        InputError: another sequence, or a constant that is not a rotation.
     """
 
     rotation: Operand
@@ -104,23 +105,23 @@ def pose(
     rotation_vector: ExprLike | None = None,
     sequence: str = ROLL_PITCH_YAW,
 ) -> Any:
-    """The pose [R p; 0 1] from a position and at most one attitude; what is left out is zero or the identity.
+    """The pose [R p; 0 1] from a position and at most one attitude; the defaults are zero and the identity.
 
-    Of numbers an array, whose precision follows them; where one is an expression, or a list of them, an expression.
+    Numbers give an array of their precision; an expression, or a list with an expression, gives an expression.
 
     Args:
         position: (3,), m.
         rotation: (3, 3), orthonormal, determinant +1.
-        quaternion: (w, x, y, z), not zero, normalised here.
-        euler: three angles in rad, in the order of the sequence: roll, pitch, yaw if none is given.
+        quaternion: (w, x, y, z), not zero; it is normalised.
+        euler: three angles in rad, in the order of the sequence: roll, pitch, yaw by default.
         rotation_vector: (3,) in rad, $R = Exp(it)$.
-        sequence: of the axes of `euler`: small letters for fixed axes, "xyz", R = Rz Ry Rx, capital ones for the body's
-            own, "ZYX" with yaw, pitch, roll.
+        sequence: axes of `euler`: small letters for fixed axes, "xyz", R = Rz Ry Rx; capital ones for body
+            axes, "ZYX" with yaw, pitch, roll.
     Raises:
         ShapeError: a wrong shape.
-        InputError: two attitudes; a sequence that names no three axes;
+        InputError: two attitudes; a sequence that does not name three axes;
             another unit; numbers that are not finite, a zero quaternion, or a matrix that is not a rotation.
-            Where these are traced or computed the pose is NaN.
+            For traced or computed values of this kind the pose is NaN.
     """
     attitudes = {"rotation": rotation, "quaternion": quaternion, "euler": euler, "rotation_vector": rotation_vector}
     of_numbers: Any = pose_of_numbers
@@ -140,11 +141,11 @@ def pose(
 def euler(R: ExprLike, sequence: str = ROLL_PITCH_YAW) -> Any:
     """The Euler angles (3,) in rad of a rotation (3, 3) or a pose (4, 4), numbers or an expression, as `EulerAngles`.
 
-    (roll, pitch, yaw) if no sequence is given: R = Rz(yaw) Ry(pitch) Rx(roll), and at gimbal lock roll = 0.
+    The default sequence is (roll, pitch, yaw): R = Rz(yaw) Ry(pitch) Rx(roll), with roll = 0 at gimbal lock.
 
     Raises:
         ShapeError: another shape.
-        InputError: another sequence, or numbers that are no rotation.
+        InputError: another sequence, or numbers that are not a rotation.
     """
     return EulerAngles(_rotation_of(R), sequence) if isinstance(R, Expr) else euler_of_numbers(R, sequence)
 
@@ -156,7 +157,7 @@ def quaternion(R: ExprLike) -> Any:
 
     Raises:
         ShapeError: another shape.
-        InputError: numbers that are no rotation.
+        InputError: numbers that are not a rotation.
     """
     return Quaternion(_rotation_of(R)) if isinstance(R, Expr) else quaternion_of_numbers(R)
 
@@ -177,16 +178,17 @@ def _joined(value: Any) -> Expr:
 
 
 def translation(position: ExprLike) -> Expr:
-    """The pose [I p; 0 1] of a frame at position p (3,), in m, with the axes of the other; an expression or numbers.
+    """The pose [I p; 0 1] of a frame at position p (3,), in m, without rotation; an expression or numbers.
 
-    Ad and Ad* of it, and of its inverse, cost the six multiplications of one vector product. Raises ShapeError.
+    Products with Ad and Ad* of it, and of its inverse, take the six multiplications of one cross product. Raises
+    ShapeError.
     """
     return Pose(np.eye(3), position)
 
 
 def rotation(rotation: ExprLike) -> Expr:
-    """The pose [R 0; 0 1] of a frame turned by a rotation R (3, 3) about the other's origin; an expression or numbers.
+    """The pose [R 0; 0 1] of a frame turned by a rotation R (3, 3) about the common origin; an expression or numbers.
 
-    Ad and Ad* of it, and of its inverse, turn both halves of a six-vector and do nothing else. Raises ShapeError.
+    Ad and Ad* of it, and of its inverse, rotate both halves of a six-vector. Raises ShapeError.
     """
     return Pose(rotation, np.zeros(3))

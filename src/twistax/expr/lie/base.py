@@ -289,7 +289,7 @@ def angular(vector: ExprLike, order: Order = LINEAR_FIRST) -> Expr:
 def twist(*, linear: ExprLike, angular: ExprLike, order: Order = LINEAR_FIRST) -> Expr:
     """The twist (6,) of a linear velocity (3,) in m/s and an angular rate (3,) in rad/s, both in the body frame.
 
-    The order says which comes first. Raises ShapeError.
+    `order` determines which comes first. Raises ShapeError.
     """
     return JoinedParts(linear, angular, order=order)
 
@@ -297,6 +297,6 @@ def twist(*, linear: ExprLike, angular: ExprLike, order: Order = LINEAR_FIRST) -
 def wrench(*, force: ExprLike, torque: ExprLike, order: Order = LINEAR_FIRST) -> Expr:
     """The wrench (6,) of a force (3,) in N and a torque (3,) in N m, both in the body frame.
 
-    The order says which comes first. Raises ShapeError.
+    `order` determines which comes first. Raises ShapeError.
     """
     return JoinedParts(force, torque, order=order)

@@ -67,7 +67,7 @@ class SO3Exp(Expr):
 class SO3Log(Expr):
     """Log: rotation (3, 3) -> rotation vector (3,) in rad, of length at most pi.
 
-    At exactly a half turn the axis whose first non-zero component is positive is taken; gradients are finite there.
+    At exactly a half turn the axis whose first non-zero component is positive is returned; gradients are finite there.
 
     Attributes:
         rotation: R (3, 3).
@@ -116,7 +116,7 @@ class SE3Exp(TwistNode):
 class SE3Log(TwistNode):
     """Log: pose (4, 4) -> twist (6,), rotation angle at most pi; $[V(w)^-1 p; w]$ with $w = Log(R)$.
 
-    At exactly a half turn the axis whose first non-zero component is positive is taken; gradients are finite there.
+    At exactly a half turn the axis whose first non-zero component is positive is returned; gradients are finite there.
     Log(Exp(xi)) is xi only within a half turn, so no rewrite removes it.
 
     Attributes:
@@ -330,7 +330,7 @@ class Vee(TwistNode):
     """vee, the inverse of hat: so(3) (3, 3) -> (3,), se(3) (4, 4) -> (6,).
 
     Attributes:
-        matrix: an element of the algebra; of another matrix the skew part of its first three rows and columns is read.
+        matrix: an element of the algebra; for other matrices the skew part of the first three rows and columns is used.
         order: order of the resulting twist (6,).
     Raises: ShapeError for matrix of another shape.
     """
@@ -358,15 +358,15 @@ class Vee(TwistNode):
 
 
 class AxisRotation(Expr):
-    """$R = a a^T + sin q [a]x + cos q (I - a a^T)$: the turn by q about a fixed unit axis a. Shapes: () -> (3, 3).
+    """$R = a a^T + sin q [a]x + cos q (I - a a^T)$: the rotation by q about a fixed unit axis a. Shapes: () -> (3, 3).
 
-    The same as SO3Exp(q a) for one sine and one cosine (Rodrigues).
+    The same as SO3Exp(q a) with only one sine and one cosine (Rodrigues).
 
     Attributes:
         angle: q in rad.
         axis: three numbers, not all zero; it is normalised.
     Raises:
-        ShapeError: angle is no scalar, or axis has not three entries.
+        ShapeError: angle is not a scalar, or axis does not have three entries.
         ModelError: axis is zero, not finite, or does not consist of numbers.
     """
 

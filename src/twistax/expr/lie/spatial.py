@@ -19,7 +19,7 @@ _HINT = "a quaternion is w, x, y, z"
 class QDCM(Expr):
     """Rotation matrix R(q) of a quaternion q = (w, x, y, z), scalar first. Shapes: (4,) -> (3, 3).
 
-    q need not have length 1: it is normalised. $R(q) v = q v q^-1$, so that for the attitude of a body
+    q is normalised, so its length need not be 1. $R(q) v = q v q^-1$, so that for the attitude of a body
     R maps body coordinates to world coordinates. A zero quaternion gives NaN.
 
     Raises: ShapeError if q is not of shape (4,).
@@ -98,13 +98,13 @@ class QuaternionProduct(Expr):
 class Quaternion(Expr):
     """The unit quaternion (w, x, y, z), w >= 0, of a rotation. Shapes: (3, 3) -> (4,).
 
-    At exactly a half turn its first non-zero component is positive. `QDCM` is the way back.
+    At exactly a half turn its first non-zero component is positive. `QDCM` is the inverse.
 
     Attributes:
         rotation: R (3, 3).
     Raises:
         ShapeError: rotation is not of shape (3, 3).
-        InputError: a constant that is no rotation.
+        InputError: a constant that is not a rotation.
     Sources: S. Shepperd, Quaternion from rotation matrix (1978); B. Horn, Closed-form solution of absolute orientation
     using unit quaternions (1987).
     """

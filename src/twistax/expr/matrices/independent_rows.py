@@ -49,23 +49,23 @@ def _diagonal(S: jax.Array, size: int) -> jax.Array:
 
 
 class IndependentRows(Expr):
-    """Which rows of a matrix G are independent, from its Gram matrix $S = G G^T$. Shape: (m, m) -> (2, m).
+    """A maximal set of independent rows of a matrix G, from its Gram matrix $S = G G^T$. Shape: (m, m) -> (2, m).
 
-    Rows are chosen one after the other, each time the one that is farthest from the span of those chosen before, until
-    none is farther from it than `tolerance` times the length of the longest, or times `unit` where all are shorter. The
-    first line of the value is 1 for rows that are chosen and 0 for others, and has no derivative; the second one is the
-    distance of each row from the span of those chosen before it. What round-off makes of zero is zero.
+    Rows are chosen one by one, each time the one that is farthest from the span of the chosen ones. The choice ends
+    when no distance is above `tolerance` times the length of the longest row, or times `unit` where all are shorter.
+    The first row of the value is 1 for chosen rows and 0 for others, and has no derivative; the second is the
+    distance of each row from the span of those chosen before it. Distances at round-off are set to zero.
 
-    S loses the half of the digits: in single precision no tolerance below about 2e-3 has an effect.
+    S has half the digits of G: in single precision a tolerance below about 2e-3 has no effect.
 
     Attributes:
         operand: S, symmetric.
         tolerance: positive and below one.
-        blocks: how many rows are compared at once, block after block; all of them unless given. Blocks cost less where
-            there are many rows, and are worse where a row that hardly stands off the others comes before a better one.
-        unit: a length that rows have where their terms do not cancel; zero where that is not known.
-    Raises: ShapeError if the operand is no square matrix, or blocks have another number of rows; ModelError for another
-        tolerance, or a unit that is negative or not finite.
+        blocks: numbers of rows that are compared at a time, block after block; all rows by default. Blocks are cheaper
+            for many rows, and less accurate where a nearly dependent row precedes a better one.
+        unit: the length of rows without cancellation; zero if unknown.
+    Raises: ShapeError if the operand is not a square matrix, or blocks have another number of rows; ModelError for
+        another tolerance, or a unit that is negative or not finite.
     Source: N. Higham, Accuracy and Stability of Numerical Algorithms (2002), section 10.3, complete pivoting.
     """
 

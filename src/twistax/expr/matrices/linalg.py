@@ -12,7 +12,7 @@ from ...errors import ModelError, ShapeError
 from ...groups.arrays import cross, unpack, vector
 from ..bases import expect_square
 from ..fields import ExprLike, Operand
-from ..kinds import rules
+from ..kinds import array_rules, rules
 from ..node import Expr, Numbers, Shape, expect
 from ..operations.arithmetic import Div, Neg, is_constant, zeros_of
 from ..operations.elementwise import Abs, absolute
@@ -21,7 +21,7 @@ _A, _B, _MATRIX = [1.0, -2.0, 0.5], [0.3, 1.0, 2.0], [[1.0, -2.0, 0.5], [3.0, 0.
 
 
 class Transpose(Expr):
-    """Transpose: the last two axes change places. Scalars and vectors stay as they are."""
+    """Transpose: the last two axes are exchanged. Scalars and vectors are unchanged."""
 
     operand: Operand
     kinds = rules.TRANSPOSE
@@ -60,7 +60,7 @@ class Transpose(Expr):
 class Diag(Expr):
     """The diagonal matrix of a vector. Shapes: (n,) -> (n, n).
 
-    Raises: ShapeError if the operand is no vector.
+    Raises: ShapeError if the operand is not a vector.
     """
 
     operand: Operand
@@ -92,7 +92,7 @@ class Diag(Expr):
 class Sum(Expr):
     """Sum of all entries. Shapes: any -> ()."""
 
-    kinds = rules.REDUCED
+    kinds = array_rules.REDUCED
     of_numbers = True
     operand: Operand
     function = jnp.sum
@@ -110,10 +110,10 @@ class Sum(Expr):
 class Trace(Expr):
     """Sum of the diagonal entries. Shapes: (n, n) -> ().
 
-    Raises: ShapeError if the operand is no square matrix.
+    Raises: ShapeError if the operand is not a square matrix.
     """
 
-    kinds = rules.REDUCED
+    kinds = array_rules.REDUCED
     of_numbers = True
     operand: Operand
     function = jnp.trace
@@ -154,7 +154,7 @@ def matrix_norm(x: jax.Array, order: Any) -> jax.Array:
 class Norm(Expr):
     """Size of a vector or matrix, in its unit. Shapes: any -> ().
 
-    At zero the derivative is taken as 0, whatever the order.
+    At zero the derivative is defined as 0, for every order.
 
     Attributes:
         ord: "fro", the default, the root of the sum of squares for any shape. For vectors also "inf" (largest |x_i|),
@@ -165,7 +165,7 @@ class Norm(Expr):
         ShapeError: the order is not defined for the operand's rank.
     """
 
-    kinds = rules.REDUCED
+    kinds = array_rules.REDUCED
     of_numbers = True
     operand: Operand
     ord: Any = "fro"
@@ -216,7 +216,7 @@ class Norm(Expr):
 class Dot(Expr):
     """Scalar product $a . b$ of two vectors. Shapes: (n,), (n,) -> ().
 
-    Raises: ShapeError for no vectors, or of different length.
+    Raises: ShapeError for operands that are not vectors, or of different length.
     """
 
     kinds = rules.MATRIX_PRODUCT
@@ -285,7 +285,7 @@ class Cross(Expr):
 class Outer(Expr):
     """The matrix $a b^T$ of all products. Shapes: (m,), (n,) -> (m, n).
 
-    Raises: ShapeError if an operand is no vector.
+    Raises: ShapeError if an operand is not a vector.
     """
 
     kinds = rules.OUTER

@@ -110,7 +110,7 @@ class Inv(Expr):
 
     A singular matrix gives inf or NaN.
 
-    Raises: ShapeError if the operand is no square matrix.
+    Raises: ShapeError if the operand is not a square matrix.
     """
 
     kinds = rules.INVERSE
@@ -176,7 +176,7 @@ class Solve(LinearSystem):
     Attributes:
         A: the matrix, an inertia for example.
         b: the right-hand side, one or several columns.
-    Raises: ShapeError if A is no square matrix, or b has another number of rows.
+    Raises: ShapeError if A is not a square matrix, or b has another number of rows.
     """
 
     cases = (

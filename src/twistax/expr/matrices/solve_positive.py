@@ -63,12 +63,12 @@ def inverse_positive(A: jax.Array) -> jax.Array:
 class SolvePositive(LinearSystem):
     """The x with $A x = b$, A symmetric positive definite. Shapes: A (n, n), b (n,) -> (n,); b (n, k) -> (n, k).
 
-    Only the lower half of A is read. A matrix that is not positive definite gives inexact numbers, inf or NaN.
+    Only the lower half of A is read. For a matrix that is not positive definite the result is inexact, inf or NaN.
 
     Attributes:
         A: the matrix, an inertia for example.
         b: the right-hand side, one or several columns.
-    Raises: ShapeError if A is no square matrix, or b has another number of rows.
+    Raises: ShapeError if A is not a square matrix, or b has another number of rows.
     """
 
     cases = (
@@ -98,7 +98,7 @@ class _OfPositive(Expr):
 class InversePositive(_OfPositive):
     """$A^-1$ of a symmetric positive definite matrix. Shape: (n, n) -> (n, n). To solve A x = b use SolvePositive.
 
-    Raises: ShapeError if the operand is no square matrix.
+    Raises: ShapeError if the operand is not a square matrix.
     """
 
     kinds = rules.INVERSE
@@ -109,9 +109,9 @@ class InversePositive(_OfPositive):
 class InverseFactor(_OfPositive):
     """V, lower triangular, with $A^-1 = V V^T$ of a symmetric positive definite A. Shape: (n, n) -> (n, n).
 
-    For many right-hand sides with zeros: x = V (V' b) leaves out what is structurally zero on the way.
+    For many sparse right-hand sides: x = V (V^T b) omits structural zeros of intermediate results.
 
-    Raises: ShapeError if the operand is no square matrix.
+    Raises: ShapeError if the operand is not a square matrix.
     """
 
     kinds = rules.OPEN

@@ -95,7 +95,7 @@ class Sub(Entrywise):
 
     left: Operand
     right: Operand
-    kinds = rules.SUM
+    kinds = rules.DIFFERENCE
     function = operator.sub
     infix = "-"
     formula = "<0> - <1:11>"
@@ -223,7 +223,7 @@ class Neg(Entrywise):
     """Negative -x, entry by entry."""
 
     operand: Operand
-    kinds = rules.SUM
+    kinds = rules.NEGATIVE
     function = operator.neg
     formula = "-<0:15>"
     cases = ({"operand": _VECTOR},)
@@ -241,8 +241,8 @@ class Neg(Entrywise):
 class Power(Entrywise):
     """Entrywise power base ** exponent with NumPy broadcasting.
 
-    A constant whole exponent is computed by multiplication, so that its derivative at zero is right; a negative one as
-    the power of 1 / base, which is in range where the result is.
+    A constant integer exponent is computed by multiplication, so that its derivative at zero is exact; a negative one
+    as the power of 1 / base, which is in range where the result is.
 
     Raises: ShapeError if the shapes do not broadcast.
     """

@@ -12,7 +12,7 @@ import numpy as np
 from ...errors import ModelError, ShapeError
 from ..bases import Variadic
 from ..fields import ExprLike, Operand, Operands
-from ..kinds import rules
+from ..kinds import array_rules
 from ..leaves import Constant
 from ..node import Expr, Numbers, Shape
 from ..printing.text import matrix_latex, wrap, wrap_latex
@@ -44,7 +44,7 @@ class Concat(_Parts, init=False):
 
     exprs: Operands
     associative = True
-    kinds = rules.PIECES
+    kinds = array_rules.PIECES
     cases = (
         {"exprs": [0.3, [1.0, -2.0], Constant(4.0)]},
         {"exprs": [np.eye(2), Constant(np.ones((1, 2)))]},
@@ -75,7 +75,7 @@ class Stack(_Parts, init=False):
     """
 
     rows: Operands
-    kinds = rules.ROWS
+    kinds = array_rules.ROWS
     cases = (
         {"rows": [[1.0, -2.0, 0.5], Constant(np.ones(3)), [0.3, 1.5, -1.0]]},
         {"rows": [2.0, Constant(0.0)]},
@@ -110,7 +110,7 @@ class Hstack(_Parts, init=False):
     """
 
     arrays: Operands
-    kinds = rules.PIECES
+    kinds = array_rules.PIECES
     cases = (
         {"arrays": [np.arange(6.0).reshape(2, 3), Constant(np.ones((2, 1)))]},
         {"arrays": [[1.0, -2.0], Constant(1.0), [0.3, 0.5]]},
@@ -144,7 +144,7 @@ class Vstack(_Parts, init=False):
     """
 
     arrays: Operands
-    kinds = rules.ROWS
+    kinds = array_rules.ROWS
     cases = (
         {"arrays": [np.arange(6.0).reshape(2, 3), [1.0, -2.0, 0.5]]},
         {"arrays": [[1.0, -2.0, 0.5], [0.3, 1.5, -1.0]]},
@@ -195,7 +195,7 @@ class Block(Expr):
 
     entries: Operands
     columns: int
-    kinds = rules.PIECES
+    kinds = array_rules.PIECES
     cases = (
         (
             lambda cls, a, v, s: cls([[a, v[:, None]], [v, s]]),
@@ -273,13 +273,13 @@ class Index(Expr):
         index: whole numbers, slices, `...`, None, arrays of whole numbers or masks, or a tuple of these. It is fixed
             when the expression is built; a negative number counts from the end.
     Raises:
-        ShapeError: an index out of bounds, too many of them, or a part without entries.
-        OperationError: an index that is an expression or no index at all.
+        ShapeError: an index out of bounds, too many indices, or an empty slice.
+        OperationError: an index that is an expression, or is not an index.
     """
 
     base: Operand
     index: Any
-    kinds = rules.PART
+    kinds = array_rules.PART
     by_operators = True
     cases = (
         (lambda cls, m: m[1:, 2], {"m": np.arange(12.0).reshape(3, 4)}),

@@ -27,7 +27,7 @@ class Extremum(Chained, init=False):
     """Base of Max, Min and their smooth relative."""
 
     operands: Operands
-    kinds: ClassVar[rules.Rule | None] = rules.SUM
+    kinds: ClassVar[rules.Rule | None] = rules.ALIKE
     abstract = True
     cases = (
         {"operands": [[1.0, -2.0, 0.5], 0.25]},
@@ -53,7 +53,7 @@ class Extremum(Chained, init=False):
 class Max(Extremum, init=False):
     """Greatest of two or more operands, entry by entry with broadcasting, in one unit.
 
-    Where several are greatest the derivative is shared: two operands take one half each.
+    At ties the derivative is distributed: two equal operands get one half each.
 
     Raises:
         ShapeError: the shapes do not broadcast.
@@ -68,7 +68,7 @@ class Max(Extremum, init=False):
 class Min(Extremum, init=False):
     """Least of two or more operands, entry by entry with broadcasting, in one unit.
 
-    Where several are least the derivative is shared: two operands take one half each.
+    At ties the derivative is distributed: two equal operands get one half each.
 
     Raises:
         ShapeError: the shapes do not broadcast.
@@ -156,12 +156,12 @@ class Reduction(Variadic, init=False):
 
 
 class All(Reduction, init=False):
-    """True if every entry of every predicate holds; shape (). Takes constraints one by one or in a list.
+    """True if every entry of every predicate is true; shape (). Takes constraints one by one or in a list.
 
     Attributes:
-        predicates: conditions (true where they hold: lhs <= rhs, lhs < rhs, lhs == rhs), All, Any or Not.
+        predicates: conditions (lhs <= rhs, lhs < rhs, lhs == rhs), All, Any or Not.
     Raises:
-        TypeError: something that is neither true nor false.
+        TypeError: an operand that is not a condition.
         ValueError: no predicate.
     """
 
@@ -171,7 +171,7 @@ class All(Reduction, init=False):
 
 
 class Any(Reduction, init=False):
-    """True if some entry of some predicate holds; shape (). Takes constraints one by one or in a list.
+    """True if at least one entry of one predicate is true; shape (). Takes constraints one by one or in a list.
 
     Attributes, Raises: as of `All`.
     """
@@ -182,15 +182,15 @@ class Any(Reduction, init=False):
 
 
 class Not(Entrywise):
-    """True where the condition does not hold, entry by entry; what `~` builds.
+    """True where the condition is false, entry by entry; the operator `~`.
 
-    ~(x <= y) and x > y differ where a side is NaN: no comparison holds there, so the first is true. No rewrite makes
-    one of the other.
+    ~(x <= y) and x > y differ where a side is NaN: comparisons with NaN are false, so the first is true. No rewrite
+    replaces one by the other.
 
     Attributes:
         condition: a comparison, All, Any or Not.
     Raises:
-        TypeError: something that is neither true nor false.
+        TypeError: an operand that is not a condition.
     """
 
     kinds = rules.OPEN
@@ -216,16 +216,16 @@ class Not(Entrywise):
 
 
 class Where(Entrywise):
-    """x where the condition holds, else y, entry by entry with broadcasting.
+    """x where the condition is true, else y, entry by entry with broadcasting.
 
-    Both sides are evaluated everywhere. A side that is NaN or has an infinite derivative where it is not chosen spoils
-    the derivative of the whole: keep its argument safe, or use Cond.
+    Both sides are evaluated everywhere. If a side that is not selected is NaN or has an infinite derivative, the
+    derivative of the result is NaN: keep the arguments of both sides valid, or use Cond.
 
     Attributes:
-        condition: a comparison (true where it holds), All, Any or Not.
-        x, y: what to choose from, in one unit.
+        condition: a comparison, All, Any or Not.
+        x, y: the values, in one unit.
     Raises:
-        TypeError: a condition that is neither true nor false.
+        TypeError: an operand that is not a condition.
         ShapeError: the shapes do not broadcast.
     """
 
@@ -262,18 +262,18 @@ class Where(Entrywise):
 
 
 class Cond(Expr):
-    """The true branch if the predicate holds, else the false branch; only the chosen branch is evaluated.
+    """The true branch if the predicate is true, else the false branch; only the selected branch is evaluated.
 
-    So a branch may be undefined where it is not chosen: neither its value nor its derivative is computed. Under
-    `jax.vmap` with a predicate that differs between elements both are evaluated, as by Where. For branches of a few
+    So a branch may be undefined where it is not selected: neither its value nor its derivative is computed. Under
+    `jax.vmap` with a batched predicate both are evaluated, as by Where. For branches of a few
     operations Where is faster. The branches broadcast against each other.
 
     Attributes:
         predicate: a scalar comparison, All, Any, Not, or a list of conditions that must all hold.
         true_branch, false_branch: expressions of broadcastable shapes, in one unit.
     Raises:
-        TypeError: a predicate that is neither true nor false.
-        ShapeError: the predicate is no scalar, or the branches do not broadcast.
+        TypeError: the predicate is not a condition.
+        ShapeError: the predicate is not a scalar, or the branches do not broadcast.
     """
 
     predicate: Operand

@@ -46,7 +46,7 @@ class Comparison(Entrywise):
 
 
 class Constraint(Comparison):
-    """A comparison that an optimiser can hold; what `==`, `<=` and `>=` build.
+    """A comparison that can be a constraint of an optimisation; the operators `==`, `<=` and `>=` build it.
 
     Attributes:
         lhs, rhs: both sides, of broadcastable shapes.
@@ -55,12 +55,12 @@ class Constraint(Comparison):
     abstract = True
 
     def residual(self) -> Expr:
-        """lhs - rhs, of which the optimiser wants <= 0 (inequality) or = 0 (equality)."""
+        """lhs - rhs: at most 0 for a satisfied inequality, 0 for a satisfied equality."""
         return self.lhs - self.rhs
 
 
 class Less(Comparison):
-    """lhs < rhs, entry by entry; what `<` and `>` build. A condition, and no constraint.
+    """lhs < rhs, entry by entry; the operators `<` and `>`. A condition, but not a constraint.
 
     Raises: ShapeError if the sides do not broadcast.
     """

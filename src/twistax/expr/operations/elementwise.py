@@ -98,7 +98,7 @@ class Log(ElementwiseFunction):
 
 
 class Abs(ElementwiseFunction):
-    """Absolute value |x|, entry by entry. The derivative at 0 is taken as 0."""
+    """Absolute value |x|, entry by entry. The derivative at 0 is defined as 0."""
 
     kinds = rules.SIZE
     function = absolute
@@ -242,7 +242,7 @@ class PositivePart(Entrywise):
     """max(x, 0), entry by entry. The derivative at 0 is taken as 1/2."""
 
     x: Operand
-    kinds = rules.SUM
+    kinds = rules.ALIKE
     formula = r"\left(<0>\right)_+"
     cases = ({"x": [1.0, -2.0, 0.5]},)
     kinks = ({"x": [0.0]},)
@@ -255,7 +255,7 @@ class Huber(Entrywise):
     """Huber's penalty, entry by entry: $x^2 / 2$ for $|x| <= delta$, $delta (|x| - delta / 2)$ beyond.
 
     Attributes:
-        delta: where it turns from a parabola into a line, positive, in the unit of x.
+        delta: the boundary between the parabola and the line, positive, in the unit of x.
     Raises: ModelError if delta is not a positive number.
     Source: Huber, Robust estimation of a location parameter (1964).
     """
@@ -275,19 +275,19 @@ class Huber(Entrywise):
 
 
 class SmoothReLU(Entrywise):
-    """$sqrt(max(x, 0)^2 + c^2) - c$, entry by entry: max(x, 0) with the kink rounded off.
+    """$sqrt(max(x, 0)^2 + c^2) - c$, entry by entry: a smooth approximation of max(x, 0).
 
-    Computed as $p^2 / (sqrt(p^2 + c^2) + c)$, $p = max(x, 0)$, which loses no digits when x is small. Squares are
-    of numbers of size one, so that they do not overflow.
+    Computed as $p^2 / (sqrt(p^2 + c^2) + c)$, $p = max(x, 0)$, without cancellation for small x. Values are scaled
+    before they are squared, so that they do not overflow.
 
     Attributes:
-        c: size of the rounding, positive, in the unit of x.
+        c: width of the smoothing, positive, in the unit of x.
     Raises: ModelError if c is not a positive number.
     """
 
     x: Operand
     c: float = 1e-8
-    kinds = rules.SUM
+    kinds = rules.ALIKE
     cases = ({"x": [0.3, -0.2, 2.0, 0.05], "c": 0.1},)
     kinks = ({"x": [0.0, 0.0]},)
 

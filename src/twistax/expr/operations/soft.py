@@ -16,25 +16,25 @@ from .comparisons import Constraint, refuse_conditions
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Soft:
-    r"""A constraint that a trajectory may violate at a price.
+    r"""A constraint that a trajectory may violate at a penalty.
 
     With $r$ = lhs - rhs the violation is s = max(r, 0) of an inequality and s = |r| of an equality, entry by entry. The
-    objective to minimise grows by $\sum l_1 s + l_2 s^2$; along the path by the integral of that over time. It stands
-    where a constraint does: in the `constraints` of a `System`, and in `initial`, `final` and `at` of a problem.
+    objective to minimise is increased by $\sum l_1 s + l_2 s^2$; along the path by the integral of that over time. Use
+    it like a constraint: in the `constraints` of a `System`, and in `initial`, `final` and `at` of a problem.
 
-    An `l1` above the multiplier that the constraint has when it is hard gives the same optimum: the penalty is exact.
-    `l2` alone always leaves some violation, half the multiplier over `l2`.
+    If `l1` is larger than the multiplier of the hard constraint, the optimum is unchanged (an exact penalty).
+    With `l2` alone there is always some violation, half the multiplier over `l2`.
     Source: Nocedal and Wright, Numerical Optimization (2006), (17.22) and Theorem 17.3.
 
     Example: `tx.System(rates={p: v, v: u}, constraints={"speed": tx.Soft(v <= 0.8, l1=100.0)})`.
 
     Attributes:
         constraint: of any shape.
-        l1, l2: the weights, expressions: scalars or of the shape of the constraint, 0 or more; None where there is
-            none. One that is a parameter is chosen by `params` of each solve.
+        l1, l2: the weights, expressions: scalars or of the shape of the constraint, not negative; None for no
+            weight. A weight that is a parameter can be changed by `params` of each solve.
 
     Raises:
-        ModelError: no constraint; no weight, or one that is a negative number.
+        ModelError: the operand is not a constraint; there is no weight, or a negative one.
         ShapeError: a weight of another shape.
     """
 

@@ -13,7 +13,7 @@ from ...checks import short
 from ...errors import ModelError, ShapeError
 from ..bases import Variadic, broadcast
 from ..fields import ExprLike, Operand, Operands
-from ..kinds import rules
+from ..kinds import array_rules, rules
 from ..leaves import Constant
 from ..node import Expr, Shape
 from .kinds import BSpline, Clamped, Extrapolated, Linear, Lookup, MonotoneCubic, Refused, linear, pieces
@@ -26,13 +26,13 @@ class Interp(Variadic, init=False):
     """Interpolation of a table of numbers over a grid of any number of axes, entry by entry.
 
     Shapes: d coordinates that broadcast to s, axes of n_1, ..., n_d points, values (n_1, ..., n_d, *k) -> (*s, *k).
-    It loads from constants, in kernels, in C and in CasADi too: the cost grows with the axes, $2^d$ loads where it is
-    linear and $4^d$ where it is cubic, and hardly with the points. An axis of about equal steps is searched by a
-    product, another one by halving.
+    Values are loaded from constant arrays, in kernels, in C and in CasADi too. The cost grows with the number of axes,
+    $2^d$ loads for linear and $4^d$ for cubic interpolation, and hardly with the number of points. An axis with
+    approximately equal steps is searched by a product, another one by bisection.
 
     Attributes:
         at: the coordinates, one or more, in the units of their axes.
-        axes: the points of each axis, strictly increasing numbers; of a single one it may stand alone.
+        axes: the points of each axis, strictly increasing numbers; a single axis need not be in a list.
         values: values[i, j, ...] is the value at (axes[0][i], axes[1][j], ...); numbers, their unit is the result's.
         kind: `tx.tables.Linear()`, `MonotoneCubic()` of one axis, or `BSpline()`.
         outside: `tx.tables.Clamped()`, `Extrapolated()` or `Refused()`, NaN; or a list of one for each axis.
@@ -136,7 +136,7 @@ def _once(node: Expr, make: Callable[[], Lookup]) -> Lookup:
 class _OnGrid(Expr):
     """Base of piecewise linear tables: its operands are the coordinates, the points of their axes, and the values."""
 
-    kinds = rules.OPEN
+    kinds = array_rules.TABLE
     abstract = True
 
     def validate(self) -> None:
@@ -171,17 +171,17 @@ class _OnGrid(Expr):
 
 
 class Linterp(_OnGrid):
-    """Piecewise linear interpolation of a table (xp, fp) at x, entry by entry. Outside the table its end values hold.
+    """Piecewise linear interpolation of a table (xp, fp) at x, entry by entry, constant outside of the table.
 
-    Shapes: x of any shape s, xp (n,), fp (n, *k) -> (*s, *k). At a breakpoint the slope on its right is taken, at the
-    ends half of it.
+    Shapes: x of any shape s, xp (n,), fp (n, *k) -> (*s, *k). The derivative at a breakpoint is the slope on its right,
+    and at the ends half of the slope inside.
 
     Attributes:
-        x: where to look, in the unit of xp.
+        x: the coordinate, in the unit of xp.
         xp: breakpoints, strictly increasing, two or more.
         fp: values at the breakpoints; their unit is the result's. May be a Parameter, like xp.
     Raises:
-        ShapeError: xp is no vector, or fp has another length.
+        ShapeError: xp is not a vector, or fp has another length.
         ModelError: xp is constant and does not increase.
     """
 
@@ -209,7 +209,7 @@ class Cinterp(Expr):
     $c_0i + c_1i t + c_2i t^2 + c_3i t^3$ with $t = x - xp_i$.
 
     Attributes:
-        x: where to look, in the unit of xp.
+        x: the coordinate, in the unit of xp.
         xp, fp: the table, numbers; xp strictly increasing.
         method: "cubic" (not-a-knot spline, two continuous derivatives), "pchip" (keeps monotone data monotone) or
             "akima" (little overshoot); the latter two have one continuous derivative.
@@ -281,17 +281,17 @@ _GRID = {
 
 
 class Bilerp(_OnGrid):
-    """Bilinear interpolation of a table over a grid at (x, y), entry by entry. Outside the grid its edge values hold.
+    """Bilinear interpolation of a table over a grid at (x, y), entry by entry, constant outside of the grid.
 
-    Shapes: x and y broadcast to s, xp (n,), yp (m,), fp (n, m) -> s. On a grid line the slope on its right is taken,
-    at the edges half of it.
+    Shapes: x and y broadcast to s, xp (n,), yp (m,), fp (n, m) -> s. The derivative on a grid line is the slope on its
+    right, and at the edges half of the slope inside.
 
     Attributes:
-        x, y: where to look, in the units of xp and yp.
+        x, y: the coordinates, in the units of xp and yp.
         xp, yp: grid lines, strictly increasing, two or more.
         fp: fp[i, j] is the value at (xp[i], yp[j]); its unit is the result's.
     Raises:
-        ShapeError: xp or yp is no vector, fp is not (n, m), or x and y do not broadcast.
+        ShapeError: xp or yp is not a vector, fp is not (n, m), or x and y do not broadcast.
         ModelError: xp or yp is constant and does not increase.
     """
 

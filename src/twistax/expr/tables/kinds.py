@@ -193,7 +193,7 @@ def spline(axes: Sequence[np.ndarray], values: np.ndarray) -> Lookup:
 
 @dataclasses.dataclass(frozen=True)
 class Linear:
-    """Linear along each axis: continuous. At a breakpoint the slope on its right is taken."""
+    """Linear along each axis: continuous. The derivative at a breakpoint is the slope on its right."""
 
     fewest = 2
 
@@ -203,10 +203,10 @@ class Linear:
 
 @dataclasses.dataclass(frozen=True)
 class MonotoneCubic:
-    """Cubic with one continuous derivative, monotone wherever the data is, of one axis.
+    """Cubic with one continuous derivative, monotone wherever the data is, for one axis.
 
-    It does not extend to several axes: its slopes are not linear in the values, so a product of such curves would
-    depend on which axis comes first, and would not stay monotone.
+    It does not extend to several axes: its slopes are not linear in the values, so a tensor product would
+    depend on the order of the axes, and would not be monotone.
 
     Source: F. Fritsch, J. Butland, A method for constructing local monotone piecewise cubic interpolants (1984), the
     weighted harmonic means of SciPy's `PchipInterpolator`, which computes the coefficients.
@@ -240,7 +240,7 @@ class MonotoneCubic:
 class BSpline:
     """Cubic with two continuous derivatives, a tensor product of not-a-knot splines: for optimisers.
 
-    It goes through all values, and may overshoot between them. Each axis has four points or more.
+    It interpolates all values, and may overshoot between them. Each axis needs at least four points.
 
     Source: C. de Boor, A Practical Guide to Splines (1978), chapters IX and XVII; SciPy computes the coefficients.
     """
@@ -253,7 +253,9 @@ class BSpline:
 
 @dataclasses.dataclass(frozen=True)
 class Clamped:
-    """Outside the value at the nearest edge holds. There the slope is zero; at the edge half of that inside."""
+    """Constant outside of the table, with the value at the nearest edge. The derivative at the edge is half of that
+    inside.
+    """
 
     def taken(self, x: jax.Array, points: np.ndarray) -> jax.Array:
         """The coordinate at which the table is read."""
@@ -262,7 +264,7 @@ class Clamped:
 
 @dataclasses.dataclass(frozen=True)
 class Extrapolated:
-    """Outside the polynomials of the outermost intervals are continued."""
+    """Outside of the table the polynomials of the outermost intervals are continued."""
 
     def taken(self, x: jax.Array, points: np.ndarray) -> jax.Array:
         """The coordinate at which the table is read."""
@@ -271,7 +273,7 @@ class Extrapolated:
 
 @dataclasses.dataclass(frozen=True)
 class Refused:
-    """Outside the value and the slope are NaN, with which integrations end and say so."""
+    """Outside of the table the value and the derivative are NaN, and an integration ends with an error."""
 
     def taken(self, x: jax.Array, points: np.ndarray) -> jax.Array:
         """The coordinate at which the table is read."""

@@ -45,29 +45,30 @@ _AT_REST = (State, Control, _Placeholder)
 
 
 class Rate(Expr):
-    """$de/dt$ of an expression e, by forward differentiation: the sum of its derivatives times the rates of its leaves.
+    """$de/dt$ of an expression e by forward differentiation: the sum of its partial derivatives times the rates of
+    leaves.
 
     Shape: that of the expression. Time has the rate 1, parameters and constants have none. The rate of a state on a
     group is its body velocity, as in the rates of a System. A rate of a rate is the second derivative. Units: those of
     the expression, per second.
 
-    Substitution keeps the rates: an expression in place of a state or control has the rate of that leaf, in which
-    leaves are replaced too. An expression in place of a parameter may depend on the leaves whose rates the Rate knows.
+    Substitution preserves the rates: an expression that replaces a state or control has the rate of that leaf, with the
+    same substitution. An expression that replaces a parameter may depend on the leaves whose rates are known.
 
     Args:
         operand: the expression.
-        rates: of the states and controls that it depends on, by leaf or by name; more do no harm.
+        rates: of the states and controls that it depends on, by leaf or by name; others are ignored.
     Attributes:
-        body: the operand, with other leaves in place of those that move.
-        placeholders: these.
-        depth: how many Rates stand one inside of another.
-        along: the leaves that move, then their rates.
+        body: the operand, with placeholders for the leaves that have rates.
+        placeholders: these leaves.
+        depth: the number of nested Rates.
+        along: the leaves that have rates, then their rates.
     Raises:
-        ModelError: the operand depends on a state or control whose rate is not there, at once or after a substitution;
-            a substitution makes one leaf of two whose rates differ; a condition as operand or rate, or in place of a
-            leaf.
-        ShapeError: a rate of another shape than that of its leaf, or of its body velocity, at once or after a
-            substitution; a substitution that gives a leaf another shape.
+        ModelError: the operand depends on a state or control without a rate, at once or after a substitution;
+            a substitution identifies two leaves whose rates differ; the operand, a rate or a substituted value is a
+            condition.
+        ShapeError: a rate does not have the shape of its leaf, or of its body velocity, at once or after a
+            substitution; a substitution changes the shape of a leaf.
     Source: A. Griewank, A. Walther, Evaluating Derivatives (2008), chapter 3.
     """
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import contextvars
 import itertools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import jax
@@ -24,6 +25,22 @@ _around: contextvars.ContextVar[tuple[tuple[Placeholder, ...], ...]] = contextva
 
 
 _POINTS = np.arange(8.0).reshape(4, 2) ** 1.5
+
+
+#: What makes a program of the function of one copy.
+_program_of: contextvars.ContextVar[Callable[[Callable[..., Any]], Callable[..., Any]] | None] = contextvars.ContextVar(
+    "program_of", default=None
+)
+
+
+@contextlib.contextmanager
+def elements_by(program: Callable[[Callable[..., Any]], Callable[..., Any]]) -> Iterator[None]:
+    """Within this, each batch of copies is a batch of the program that `program` makes of the function of one copy."""
+    token = _program_of.set(program)
+    try:
+        yield
+    finally:
+        _program_of.reset(token)
 
 
 class Placeholder(Leaf):
@@ -60,14 +77,15 @@ class Vmap(Expr):
     Shapes: batches (n, *s), mapped over `axis`; fn takes an expression of shape s for each and returns one of shape r;
     the result is (n, *r). fn is called once, when the expression is built; it may use any other leaf or expression.
 
-    If fn returns a constraint the result is the constraint on all of them, to be used like any other:
+    If fn returns a constraint the result is the constraint on all elements:
     `Vmap(lambda p: Norm(x - p) >= 1, points)` is `Vmap(lambda p: 1 - Norm(x - p), points) <= 0`.
 
     Attributes:
-        batches: the expressions or arrays mapped over; a list stands for several, one argument of fn each.
+        batches: the expressions or arrays mapped over; a list means several, one argument of fn each.
         axis: the axis mapped over, counted from 0.
         body: what fn returned.
         placeholders: the arguments fn was called with.
+        copies: whether the elements are systems, of which one is worth a program of its own; see `elements_by`.
     Raises:
         ShapeError: a batch without that axis, or batches of different length; a substitution that gives the elements
             another shape.
@@ -78,6 +96,7 @@ class Vmap(Expr):
     axis: int
     body: Expr
     placeholders: tuple[Expr, ...]
+    copies: bool = False
     kinds = rules.OPEN
     cases = (
         (lambda cls, x, points: cls(lambda p: p * x - 2.0, points), {"x": [0.3, -0.4], "points": _POINTS}),
@@ -103,7 +122,9 @@ class Vmap(Expr):
             _around.reset(token)
         no_elements(leaves_of(body, *batches), but=[*placeholders, *itertools.chain(*around)])
         residual = body.residual() if isinstance(body, Constraint) else body
-        node = cls.from_fields({"batches": batches, "axis": axis, "body": residual, "placeholders": placeholders})
+        node = cls.from_fields(
+            {"batches": batches, "axis": axis, "body": residual, "placeholders": placeholders, "copies": False}
+        )
         return type(body)(node, 0.0) if isinstance(body, Constraint) else node
 
     def __init__(self, fn: Callable[..., Any], batch: Any, axis: int = 0) -> None:
@@ -114,7 +135,7 @@ class Vmap(Expr):
 
     @property
     def captured(self) -> list[Leaf]:
-        """The leaves the body reads besides its placeholders."""
+        """The leaves that the body depends on besides its placeholders."""
         return other_leaves(self.body, self.placeholders)
 
     def makes_boolean(self, *operands: bool) -> bool:
@@ -140,9 +161,13 @@ class Vmap(Expr):
         )
 
     def over(self, batches: Sequence[Expr], body: Expr) -> Vmap:
-        """The same with other batches and another body, of the same placeholders."""
+        """The same map with other batches and another body, of the same placeholders."""
         fields = {"batches": tuple(batches), "axis": self.axis, "body": body, "placeholders": self.placeholders}
-        return Vmap.from_fields(fields)
+        return Vmap.from_fields(fields | {"copies": self.copies})
+
+    def of_copies(self) -> Vmap:
+        """The same, of elements that are systems."""
+        return Vmap.from_fields({field.name: getattr(self, field.name) for field in self._fields} | {"copies": True})
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         elements = _element_shapes(list(shapes[: len(self.batches)]), self.axis)
@@ -155,9 +180,11 @@ class Vmap(Expr):
         return (shapes[0][self.axis], *self.body.check_shape())
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
-        batches, captured = values[: len(self.batches)], values[len(self.batches) :]
-        scope = {leaf.key(): value for leaf, value in zip(self.captured, captured, strict=True)}
-        return jax.vmap(function_of(self.body, self.placeholders, scope), in_axes=self.axis)(*batches)
+        leaves = [*self.placeholders, *self.captured]
+        element, count = function_of(self.body, leaves, {}), len(self.batches)
+        program = _program_of.get() if self.copies else None
+        in_axes = (*[self.axis] * count, *[None] * (len(values) - count))
+        return jax.vmap(element if program is None else program(element), in_axes=in_axes)(*values)
 
     def simplify(self) -> Expr:
         """The body is simplified."""

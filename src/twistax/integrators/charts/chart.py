@@ -215,10 +215,10 @@ class _Maps:
 
 
 class Chart(ABC):
-    """The coordinates of a step around its start. A value: equal charts mean the same.
+    """The coordinates of a step around its start. Charts with equal fields are equal.
 
-    A new chart subclasses this and gives coordinates for rotations and poses; states without a group are added to, and
-    states of other groups move in exponential coordinates.
+    A new chart is a subclass that defines coordinates for rotations and poses. States without a group are added to, and
+    states of other groups use exponential coordinates.
     """
 
     def coordinates(self, group: Group) -> Coordinates:
@@ -241,11 +241,11 @@ class Chart(ABC):
 
 @dataclasses.dataclass(frozen=True)
 class Ambient(Chart):
-    """Quaternion and position as plain numbers, $q' = q (0, w) / 2$, $p' = R(q) v$; q is put to length one once a step.
+    """Quaternion and position as plain numbers, $q' = q (0, w) / 2$, $p' = R(q) v$; q is normalised once in each step.
 
-    The cheapest chart, and as accurate as the others where nothing is stiff. Between the start of a step and its end
-    the quaternion leaves the sphere by the error of the stages. No turn is too far for it to notice: a step that is too
-    long is as wrong as the tableau makes it.
+    The cheapest chart, and as accurate as the others for problems that are not stiff. Within a step
+    the quaternion leaves the unit sphere by the error of the stages. There is no limit on rotations within a step: a
+    step that is too long has the error of the tableau.
 
     Source: Hairer, Lubich, Wanner, Geometric Numerical Integration (2006), section IV.4 (projection methods).
     """
@@ -262,13 +262,13 @@ class Exponential(Chart):
     """Exponential coordinates: $g = g_0 Exp(eta)$ with $eta' = J_r(eta)^-1 Omega$, on SO(3) and on SE(3).
 
     Attributes:
-        commutators: the powers of ad kept in $J_r(eta)^-1 = I + ad/2 + ad^2/12 - ad^4/720 + ...$; then everything is a
-            polynomial, and a step that turns by more than half a turn fails. None: closed forms, and a step fails that
-            turns by more than a full turn.
-    A method of order p needs p - 2 commutators; `RKMK` asks for that many unless it is given a chart.
+        commutators: the number of powers of ad in $J_r(eta)^-1 = I + ad/2 + ad^2/12 - ad^4/720 + ...$. All operations
+            are then polynomials, and a step of more than half a turn fails. None: closed forms, and a step of more
+            than a full turn fails.
+    A method of order p needs p - 2 commutators; `RKMK` without a chart uses this number.
 
     Raises:
-        ModelError: commutators that is no whole number from 1 on.
+        ModelError: commutators is not a whole number from 1 on.
 
     Source: Munthe-Kaas, High order Runge-Kutta methods on manifolds (1999); Hairer, Lubich, Wanner, Geometric Numerical
     Integration (2006), section IV.8, for the number of terms.

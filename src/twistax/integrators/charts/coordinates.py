@@ -26,15 +26,15 @@ _SCALARS = 16
 
 
 class Coordinates(ABC):
-    """How one part of the state is stored between steps, and the coordinates a step uses around its start.
+    """The representation of one part of the state between steps, and the coordinates of a step around its start.
 
     A step starts at the stored y, where the coordinates z are zero. With omega the rate of the state (the body velocity
     of a rotation or a pose),
 
         the state at z is `move(y, z)`, and z' = `slope(z, move(y, z), omega)`,
 
-    so that any Runge-Kutta method can run on z. All methods are pure and traceable. The defaults
-    are those of plain numbers, which move by addition.
+    so that any Runge-Kutta method can integrate z. All methods are pure and traceable. The methods that are not
+    abstract implement plain numbers, to which increments are added.
     """
 
     @abstractmethod
@@ -43,7 +43,7 @@ class Coordinates(ABC):
 
     @abstractmethod
     def value(self, y: Block) -> jax.Array:
-        """The value of the state as expressions see it."""
+        """The value of the state in expressions."""
 
     def rate(self, omega: jax.Array) -> Block:
         """The rate from the dynamics, as numbers."""
@@ -77,9 +77,9 @@ class Coordinates(ABC):
         )
 
     def deviation(self, e: Block, after: Block) -> Block:
-        """The tangent, up to higher order, of a small difference e of coordinates near the end of a step.
+        """The tangent, up to higher order, for a small difference e of coordinates near the end of a step.
 
-        Rotations in rad, positions in their unit; poses as [v; w] whatever their order. Lengths are what counts: the
+        Rotations in rad, positions in their unit; poses as [v; w] whatever their order. Only norms matter: the
         axes may be those of the start.
         """
         return e

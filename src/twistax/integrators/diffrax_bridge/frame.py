@@ -26,7 +26,7 @@ from ..tableaus import StageRows, lower_triangle
 
 
 class LieTerm(diffrax.AbstractTerm):
-    """A system as a term for `LieSolver`. Its rates are body velocities: no solver can add them to a state."""
+    """A system as a term for `LieSolver`. Its rates are body velocities, which plain solvers cannot add to a state."""
 
     dynamics: Dynamics = eqx.field(static=True)
 
@@ -39,11 +39,11 @@ class LieTerm(diffrax.AbstractTerm):
         return t1 - t0
 
     def prod(self, vf: Any, control: Any) -> NoReturn:
-        """Raises ModelError: a solver that calls it would add body velocities to poses."""
+        """Raises ModelError, because a solver that calls it would add body velocities to poses."""
         raise ModelError(
             "a term of tx.diffrax.lie_term gives body velocities, which a plain solver cannot add to poses.\n"
             "  fix: wrap the solver, tx.diffrax.LieSolver(diffrax.Tsit5(), dynamics), or give a plain solver "
-            "tx.diffrax.ambient_term(dynamics). BacksolveAdjoint with a solver of its own ends here too: leave it out"
+            "tx.diffrax.ambient_term(dynamics). BacksolveAdjoint with a custom solver ends here, too: omit it"
         )
 
 
@@ -51,7 +51,7 @@ def lie_term(dynamics: Dynamics) -> LieTerm:
     """A system as a term for `LieSolver`, with args = (u, params) as `tx.integrate` takes them, or None.
 
     Raises:
-        ModelError: no compiled system.
+        ModelError: the system is not compiled.
     """
     need_compiled("lie_term", dynamics)
     return LieTerm(dynamics)

@@ -114,7 +114,7 @@ class LieSolver(diffrax.AbstractWrappedSolver):
         return self.solver.order(terms)
 
     def error_order(self, terms: Any) -> Any:
-        """The wrapped solver's. Raises ModelError for terms that do not fit."""
+        """The wrapped solver's. Raises ModelError for other terms."""
         self._parts(terms)
         return self.solver.error_order(terms)
 
@@ -276,12 +276,12 @@ class _Probe(RKMK):
 
 
 class LieController(diffrax.AbstractAdaptiveStepSizeController):
-    """diffrax's PIDController, fed with errors in the tangent space. Made by `controller`.
+    """diffrax's PIDController with errors in the tangent space. `controller` makes it.
 
     Attributes:
-        rtol, atol, norm: for the equations of implicit solvers; atol the smallest of those given.
-        allowed: the absolute tolerance as it was given, a number or a dict by state.
-        pid: the controller of the length of the steps.
+        rtol, atol, norm: for the equations of implicit solvers; atol is the smallest of the given values.
+        allowed: the absolute tolerance as passed, a number or a dict by state.
+        pid: the controller of the step size.
     """
 
     rtol: Any
@@ -291,17 +291,17 @@ class LieController(diffrax.AbstractAdaptiveStepSizeController):
     pid: diffrax.PIDController
 
     def wrap(self, direction: Any) -> LieController:
-        """The controller itself: nothing here depends on the direction of time."""
+        """The controller itself, because it does not depend on the direction of time."""
         return self
 
     def init(
         self, terms: Any, t0: Any, t1: Any, y0: Mapping[str, Any], dt0: Any, args: Any, func: Any, error_order: Any
     ) -> tuple[Any, _State]:
-        """The end of the first step, chosen by the rates where dt0 is None.
+        """The end of the first step, estimated from the rates where dt0 is None.
 
         Raises:
             ModelError: terms that are not those of `lie_term`, or another solver around `LieSolver`.
-            InputError: tolerances that do not fit.
+            InputError: tolerances that do not match the system.
         """
         parts = parts_of(terms)
         if type(getattr(func, "__self__", None)) is diffrax.HalfSolver:
@@ -328,7 +328,7 @@ class LieController(diffrax.AbstractAdaptiveStepSizeController):
     def adapt_step_size(
         self, t0: Any, t1: Any, y0: Any, y1_candidate: Any, args: Any, y_error: Any, error_order: Any, state: _State
     ) -> tuple[Any, Any, Any, Any, _State, Any]:
-        """As PIDController, with the errors of the step in units of what is allowed."""
+        """As PIDController, with the errors of the step relative to the tolerance."""
         scaled = None
         if y_error is not None:
             before, after, error = jax.lax.stop_gradient((dict(y0), dict(y1_candidate), dict(y_error)))
@@ -360,22 +360,22 @@ def controller(
     step_ts: Any = None,
     jump_ts: Any = None,
 ) -> Any:
-    """Steps for `LieSolver` whose error is at most atol + rtol x size, measured in the tangent space.
+    """A step size controller for `LieSolver`: errors are at most atol + rtol x size, measured in the tangent space.
 
-    Rotations count in rad against size 1, positions in their unit against their distance from the origin, other states
-    entry by entry; as the tolerances of `tx.integrate`. A plain diffrax.PIDController works too and compares the
+    Errors of rotations are in rad with size 1, those of positions relative to their distance from the origin, those of
+    other states entry by entry, as in `tx.integrate`. A plain diffrax.PIDController works too, and compares the
     entries of the matrices.
 
     Args:
         rtol: relative tolerance.
-        atol: absolute tolerance, rtol if left out: a number, or a dict by state; for a pose a pair (rotation,
+        atol: absolute tolerance, rtol by default: a number, or a dict by state; for a pose a pair (rotation,
             position).
         pcoeff, icoeff, dcoeff, safety, factormin, factormax, dtmin, dtmax, force_dtmin: as in diffrax.PIDController;
-            the numbers of `tx.StepControl` if left out.
+            the defaults are those of `tx.StepControl`.
         step_ts, jump_ts: times at which steps end, and at which rates or controls jump, as in
             diffrax.ClipStepSizeController.
     Raises:
-        InputError: when the integration begins, for tolerances that do not fit the system.
+        InputError: when the integration begins, for tolerances that do not match the system.
     """
     pid = diffrax.PIDController(
         rtol=0.0,

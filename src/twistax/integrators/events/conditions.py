@@ -55,10 +55,10 @@ _ROOM = 128
 
 
 class AtStart(enum.Enum):
-    """What an event does if its condition is zero at the start, or has already crossed zero there.
+    """The treatment of an event whose condition is zero at the start, or has already crossed zero there.
 
     "Already crossed" means that the condition is on the side of zero that the event's `direction` leads to. Zero means
-    zero to round-off. For every choice, `Solution.at_start` tells for which events this was the case.
+    zero up to round-off. For every choice, `Solution.at_start` records for which events this was the case.
     """
 
     #: The event is met at the start, and ends an integration at once. Not where the condition is zero and moves to the
@@ -76,27 +76,27 @@ class Event:
     """An event: by default the integration ends where its condition becomes zero,
     `tx.integrate(..., event=tx.Event(condition))`.
 
-    A step during which the sign of the condition changes is taken again up to the root, in its group and to round-off
-    of the time. The condition is looked at within each step too, on the polynomial of the step at seven places, or with
-    methods that have none at three places by shorter steps, and where a parabola through three of these comes near
-    zero. So two roots within one step are seen unless the condition turns several times within an eighth of the step.
-    A condition that is zero at the end, up to round-off, is an event. Where it is NaN it has no sign. Backward in time
-    a condition rises where it grows along the integration.
+    A step during which the sign of the condition changes is repeated up to the root, in its group and to round-off
+    of the time. Roots within a step are detected too: the condition is evaluated at seven points on the interpolating
+    polynomial of the step, or for methods without one at three points by shorter steps. Where a parabola through three
+    values comes near zero, its extremum is located. So two roots within one step are detected unless the condition has
+    several extrema within an eighth of the step. A condition that is zero at the end, up to round-off, is an event. A
+    condition that is NaN has no sign. Backward in time a condition rises if it increases along the integration.
 
     Attributes:
-        condition: an expression of shape (): a number; or a condition, which ends it where it begins to hold: where
-            a - b falls through zero, for a < b and a <= b alike. Or a traceable function f(t, x, u, params) -> ();
-            a function is part of the compiled program: another one compiles again.
+        condition: an expression of shape (), whose zeros are events; or a comparison, whose event is where it becomes
+            true: where a - b crosses zero from above, for a < b and a <= b alike. Or a traceable function
+            f(t, x, u, params) -> (); a function is part of the compiled program: another one recompiles.
         direction: None: any root; True or 1: only where the condition rises; False or -1: only where it falls. The
-            number 0, which other programs read as any root, is refused.
-        terminal: True: the integration ends there. False: it goes on, and `Solution.crossings` has the time, the state
-            and the direction of each crossing.
-        at_start: an `AtStart`. Left out: STOP for conditions that are true or false, which hold at the start or do
-            not, CROSSING for numbers. To go on from where an event ended an integration: `AtStart.IGNORE`.
+            number 0, which means any root in other programs, raises an error.
+        terminal: True: the integration ends there. False: it continues, and `Solution.crossings` has the time, the
+            state and the direction of each crossing.
+        at_start: an `AtStart`. The default is STOP for comparisons and CROSSING for expressions.
+            To continue from an event that ended an integration: `AtStart.IGNORE`.
 
     Raises:
-        ModelError: a condition that is neither, or of another shape; another direction, or one for what is true or
-            false, which says itself where it holds; another `terminal` or `at_start`.
+        ModelError: a condition of another kind or shape; another direction, or one for a comparison, which has
+            its own; another `terminal` or `at_start`.
     """
 
     condition: Any

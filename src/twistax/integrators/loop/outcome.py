@@ -15,7 +15,7 @@ from ..events.crossings import CrossingTable
 
 
 class Result(enum.IntEnum):
-    """How an integration ended; `sentence` says it in words. SUCCESS and EVENT are no failures."""
+    """The status of an integration; `sentence` is its description. SUCCESS and EVENT are not failures."""
 
     SUCCESS = 0
     NON_FINITE = 1

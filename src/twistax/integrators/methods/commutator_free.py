@@ -30,23 +30,23 @@ class CommutatorFreeTableau(Coefficients):
         $g_i = g_0 Exp(h sum_j a_i1j k_j) Exp(h sum_j a_i2j k_j) ..., k_i = Omega(t + c_i h, g_i),
         g(t + h) = g_0 Exp(h sum_j b_1j k_j) Exp(h sum_j b_2j k_j) ...$
 
-    What acts first stands on the left; for right-trivialised equations, as in most papers, the order is the reverse.
+    The leftmost exponential acts first; for right-trivialised equations, as in most papers, the order is reversed.
 
     Attributes:
-        name: how tables call it.
+        name: its name in tables.
         order: the order of convergence.
-        a: for every stage its exponentials, none for the first; each a row of weights of the stages before it, where
-            zeros at the end may be left out.
+        a: the exponentials of every stage, none for the first; each is a row of weights of earlier stages, where
+            trailing zeros may be omitted.
         b: the exponentials of the step, likewise.
         c: (s,) the nodes, which are the sums of a.
-        underlying: the Runge-Kutta method that it is on states without a group.
+        underlying: the equivalent Runge-Kutta method for states without a group.
 
     Raises:
-        ModelError: an exponential without weights, a weight of a stage that is still to come, one that is not finite,
+        ModelError: an exponential without weights, a weight of the same or a later stage, one that is not finite,
             or weights of the step that do not sum to 1.
 
     Source: Celledoni, Marthinsen, Owren, Commutator-free Lie group methods, Future Generation Computer Systems 19
-    (2003). Crouch-Grossman methods are of this form too, with one slope in every exponential.
+    (2003). Crouch-Grossman methods also have this form, with one slope in every exponential.
     """
 
     name: str
@@ -99,16 +99,16 @@ CF4 = CommutatorFreeTableau(
 
 @dataclasses.dataclass(frozen=True)
 class CommutatorFree(Method):
-    """A commutator-free method: for every system, with more exponentials than `RKMK` and no Jacobian.
+    """A commutator-free method, for every system. It has more exponentials than `RKMK` and no inverse Jacobian.
 
-    States without a group go by the underlying Runge-Kutta method. An exponential that turns by more than half a turn
-    is a failure, as in `RKMK`.
+    States without a group use the underlying Runge-Kutta method. An exponential of more than half a turn
+    fails, as in `RKMK`.
 
     Attributes:
-        tableau: the coefficients, CF4 if left out.
+        tableau: the coefficients, CF4 by default.
 
     Raises:
-        ModelError: no tableau of this kind.
+        ModelError: the tableau has another type.
 
     Source: Celledoni, Marthinsen, Owren, Commutator-free Lie group methods (2003).
     """

@@ -62,32 +62,32 @@ class _SolvedStep(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class ImplicitRKMK(ChartMethod):
-    """The implicit Runge-Kutta method of a collocation tableau in a chart: for stiff systems, or symmetric.
+    """The implicit Runge-Kutta method of a collocation tableau in a chart, for stiff systems or symmetric integration.
 
     With z_i the coordinates of stage i around the start of the step, $z_i = h sum_j a_ij k_j$, k_j the slope of the
-    chart at stage j, and the step ends at $sum_i d_i z_i$, $d = b a^-1$. The equations are solved by Newton's method
-    with the Jacobian at the start of the step, one real and one complex inverse a step in the size of the tangent, from
-    the polynomial of the step before carried on.
+    chart at stage j, the step ends at $sum_i d_i z_i$, $d = b a^-1$. The equations are solved by Newton's method
+    with the Jacobian at the start of the step, and one real and one complex inverse of the size of the tangent space.
+    The initial guess extrapolates the polynomial of the previous step.
 
-    - `tx.tableaus.RADAU_IIA5`, `RADAU_IIA9` and `RADAU_IIA3` are L-stable: rates as fast as 1/h times 1e8 do no harm.
-      They take fixed steps, or choose their own.
-    - `tx.tableaus.GAUSS_LEGENDRE4` and `GAUSS_LEGENDRE6` take fixed steps. Their coordinates are those around the
-      middle of the step, half the way to its end: then the method is symmetric. Over 1e5 steps of 0.05 s the energy of
-      a heavy top stays within 1e-6 with the first of them; around the starts of steps it drifts by ten times that. The
-      middle costs about twice as many Newton steps.
+    - `tx.tableaus.RADAU_IIA5`, `RADAU_IIA9` and `RADAU_IIA3` are L-stable, also for rates up to 1e8 / h.
+      They support fixed and adaptive steps.
+    - `tx.tableaus.GAUSS_LEGENDRE4` and `GAUSS_LEGENDRE6` take fixed steps. Their coordinates are centred at the
+      middle of the step, which makes the method symmetric. Over 1e5 steps of 0.05 s the energy of
+      a heavy top stays within 1e-6 with GAUSS_LEGENDRE4; with coordinates around the start of each step the drift is
+      ten times as large. Centred coordinates take about twice as many Newton iterations.
 
-    Where steps are chosen the equations are solved to a share of the tolerance; with fixed steps, saved times and
+    With adaptive steps the equations are solved to a fraction of the tolerance; with fixed steps, saved times and
     derivatives to round-off. Derivatives are those of the solution, by the implicit function theorem: forward, reverse
-    and of second order. A step whose equations cannot be solved is taken back and halved; with fixed steps, or where no
+    and of second order. A step whose equations cannot be solved is rejected and halved; with fixed steps, or where no
     step is short enough, the integration ends with `Result.NEWTON_FAILED`.
 
     Attributes:
         tableau: the coefficients, a `CollocationTableau`.
-        chart: the coordinates, a `tx.charts.Chart`; exponential ones in closed form if left out. A number of
-            commutators below the order minus two costs order.
+        chart: the coordinates, a `tx.charts.Chart`; exponential ones in closed form by default. Fewer commutators
+            than the order minus two reduce the order.
 
     Raises:
-        ModelError: no tableau of this kind, or no chart; steps chosen by tolerances with a tableau whose last stage is
+        ModelError: the tableau or the chart has another type; adaptive steps with a tableau whose last stage is
             not the end of the step.
 
     Source: Hairer, Wanner, Solving Ordinary Differential Equations II (1996), section IV.5 (Radau IIA), IV.8

@@ -18,7 +18,7 @@ _UNREAD = 1e-6
 
 
 class Between(enum.Enum):
-    """How `tx.integrate` computes states at saved times that lie inside a step."""
+    """The method of `tx.integrate` for states at saved times inside a step."""
 
     #: By one shorter step of the same method: as accurate as the ends, at the cost of a step for each saved time.
     STEP = "a shorter step"

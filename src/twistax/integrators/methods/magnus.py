@@ -48,19 +48,19 @@ _EXPANSIONS = {4: (2, _fourth, RK4), 6: (3, _sixth, DOP853)}
 
 @dataclasses.dataclass(frozen=True)
 class Magnus(Method):
-    """The Magnus method of order 4 or 6: exact for constant velocities, and one exponential a step for others.
+    """The Magnus method of order 4 or 6, exact for constant velocities, with one exponential a step.
 
-    For systems none of whose rates reads a rotation or a pose: attitude from measured rates, prescribed twists, free
+    It requires that no rate depends on a rotation or a pose: attitude from measured rates, prescribed twists, free
     bodies. Rates may depend on time, controls, parameters and states without a group, which an explicit Runge-Kutta
-    method brings from one Gauss node to the next. A step that turns by more than a full turn is a failure.
+    method integrates from one Gauss node to the next. A step of more than a full turn fails.
 
     Attributes:
         order: 4 or 6.
-        inner: the tableau for states without a group, RK4 or DOP853 if left out.
+        inner: the tableau for states without a group; RK4 or DOP853 by default.
 
     Raises:
-        ModelError: another order, or an inner that is no tableau. When integrated: a rate that reads a rotation or a
-            pose.
+        ModelError: another order, or an inner that is not a tableau. When integrated: a rate that depends on a rotation
+            or a pose.
 
     Source: Magnus, On the exponential solution of differential equations for a linear operator (1954); the papers of
     the two expansions.

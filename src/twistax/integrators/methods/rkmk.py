@@ -31,16 +31,15 @@ Extra = TypeVar("Extra")
 class RKMK(ChartMethod):
     """The explicit Runge-Kutta-Munthe-Kaas method of a tableau in a chart.
 
-    On states without a group it is the Runge-Kutta method. Methods are values: they are equal where tableaus and charts
-    are.
+    On states without a group it is the Runge-Kutta method. Methods with equal tableaus and charts are equal.
 
     Attributes:
         tableau: the coefficients.
-        chart: the coordinates around the start of a step, a `tx.charts.Chart`; exponential coordinates with as many
-            commutators as the order needs if left out.
+        chart: the coordinates around the start of a step, a `tx.charts.Chart`; by default exponential coordinates with
+            as many commutators as the order requires.
 
     Raises:
-        ModelError: no tableau, or no chart.
+        ModelError: the tableau or the chart has another type.
 
     Source: Munthe-Kaas, High order Runge-Kutta methods on manifolds (1999); Iserles, Munthe-Kaas, Norsett, Zanna,
     Lie-group methods (2000), both for right-trivialised equations, where the Jacobian is the left one.

@@ -33,21 +33,21 @@ from .phased_solution import PhasedSolution
 class Phase(StepOptions):
     """One phase of a flight: `tx.integrate_phases([tx.Phase(...), tx.Phase(...)], x0, ...)`.
 
-    Phases with one system and equal options compile once, whatever their parameters, durations and starts.
+    Phases with one system and equal options compile once, whatever their parameters, durations and initial states.
 
     Args:
         dynamics: a compiled system.
-        duration: how long the phase takes, s; with an event, how long at most.
-        t1: the time when it ends, or ends at the latest, s, in place of `duration`.
-        event: a `tx.Event`, or a list of them, whose first root ends the phase. Without any the phase ends by time. A
-            phase that does not meet its event is a failure.
-        params: values of parameters in this phase, over those of the whole.
-        u: the controls of this phase, in place of those of the whole; times of tables are those of the whole.
-        jumps, dt, steps, rtol, atol, method, control: as for `tx.integrate`, in place of those of the whole.
-        name: what results and messages call it; "phase 0", "phase 1", ... unless given.
+        duration: of the phase, s; with an event, the longest duration.
+        t1: the end time, or with an event the latest end time, s, in place of `duration`.
+        event: a `tx.Event`, or a list of them, whose first root ends the phase. Without an event the phase ends by
+            time. A phase whose event does not occur fails.
+        params: values of parameters in this phase, which override those of the call.
+        u: the controls of this phase, in place of those of the call; tables use the time of the whole flight.
+        jumps, dt, steps, rtol, atol, method, control: as for `tx.integrate`, in place of those of the call.
+        name: its name in results and messages; "phase 0", "phase 1", ... by default.
 
     Raises:
-        InputError, ModelError: for what makes no sense, by `integrate_phases`, with the phase in front.
+        InputError, ModelError: invalid arguments, raised by `integrate_phases` with the name of the phase.
     """
 
     dynamics: Dynamics
@@ -70,35 +70,35 @@ class PhasesOptions(FlightOptions):
 
 @with_options(PhasesOptions)
 def integrate_phases(phases: Sequence[Phase], x0: Mapping[str, Any], options: PhasesOptions) -> PhasedSolution:
-    """Integrate phases one after another: a stage burns out and is dropped, a ball bounces, a chute opens.
+    """Integrate phases one after another: a stage separates, a ball bounces, a parachute opens.
 
-    Time goes on from phase to phase. States of the same name and kind go on, too, but for what `links` says.
-    Derivatives are right through every switch: the time of an event moves with what it depends on, and with it the
+    Time continues from phase to phase. States of the same name and kind continue too, except for those in `links`.
+    Derivatives include the switches: the time of an event depends on the inputs, and so does the
     start of the next phase.
 
     Args:
-        phases: one or more `tx.Phase`, each with a system of its own or with the same.
-        x0: the start of the first phase, a dict by state name.
-        links: for every join, one fewer than phases: a dict from states of the next phase to numbers or to expressions
-            of the last states of the phase before, of its parameters and of time; or a traceable function
-            f(t, x, params) that returns such a dict; or None. Values of a group are elements of it.
+        phases: one or more `tx.Phase`, with the same or with different systems.
+        x0: the initial state of the first phase, a dict by state name.
+        links: one for each transition, one fewer than phases: a dict from states of the next phase to numbers or to
+            expressions of the last states of the previous phase, of its parameters and of time; or a traceable function
+            f(t, x, params) that returns such a dict; or None. Values on a group are elements of it.
         t0: the start of the first phase in s.
         dt, steps, rtol, atol, method, control, between, dense: as for `tx.integrate`, for every phase.
         u: the controls of every phase: a dict, of which each phase takes those it has, or a function of t.
-        params: parameter values of all phases, by name. Those that links read, too.
-        save_at: sorted times, s. Those before the start are refused, those after the end left out. Without any: the
-            ends of phases alone.
-        throw: raise when a phase ends early or does not meet its event. Otherwise the phases up to there are returned,
-            with `result`.
-        progress: as for `tx.integrate`; each phase is an equal share of the way.
+        params: parameter values of all phases and links, by name.
+        save_at: sorted times, s. Times before the start raise an error, times after the end are ignored. By default the
+            ends of phases are saved.
+        throw: raise an error when a phase fails or its event does not occur. Otherwise the phases before the failure
+            are returned, with `result`.
+        progress: as for `tx.integrate`; each phase counts as an equal fraction.
 
     Returns:
-        `PhasedSolution`: a `Solution` for each phase, and what they have in common as one. Where something is traced,
-        states that were not reached are NaN.
+        `PhasedSolution`: a `Solution` for each phase, and their common names as one solution. Where arguments are
+        traced, states that were not reached are NaN.
 
     Raises:
-        InputError, ModelError: what `tx.integrate` raises, with the phase in front; a parameter that no phase has.
-        IntegrationError: a phase ended early, or without its event. Names the phase, by number and name.
+        InputError, ModelError: the errors of `tx.integrate`, with the name of the phase; a parameter that no phase has.
+        IntegrationError: a phase failed, or its event did not occur. Names the phase, by number and name.
     """
     return _Flight(phases, options).flown(x0)
 

@@ -41,8 +41,8 @@ class PhasedSolution(AnySolution):
         starts: the states at the start of each phase, after the jump, by name.
         t_starts: the time at the start of each phase, s.
         code: the number of the overall Result: that of the first phase that failed, else of the last phase.
-        save_at: (n,) the saved times that were asked for, or None.
-        names: of the phases.
+        save_at: (n,) the requested saved times, or None.
+        names: names of the phases.
         on_grid: whether every phase has a row for every saved time.
     """
 
@@ -62,17 +62,17 @@ class PhasedSolution(AnySolution):
 
     @property
     def durations(self) -> dict[str, Any]:
-        """How long each phase takes, s, by name."""
+        """The duration of each phase, s, by name."""
         return {name: p.ts[..., -1] - t for name, p, t in zip(self.names, self.phases, self.t_starts, strict=True)}
 
     @property
     def stats(self) -> Stats:
-        """Counts of all phases together."""
+        """Sums of the counts of all phases."""
         return jax.tree.map(lambda *counts: sum(counts), *(phase.stats for phase in self.phases))
 
     @functools.cached_property
     def ts(self) -> jax.Array:
-        """(n,) the saved times up to the end, s; without any the end alone."""
+        """(n,) the saved times up to the end, s; without save_at the final time alone."""
         if self.save_at is None:
             return self.phases[-1].ts[..., -1:]
         return self.save_at if self.on_grid else jnp.asarray(np.asarray(self.save_at)[self._inside])
@@ -96,7 +96,7 @@ class PhasedSolution(AnySolution):
         """States that all phases have at a time () or at times (n,); at a join those after the jump. Needs dense=True.
 
         Raises:
-            InputError: no dense output was kept; times outside of the flight.
+            InputError: there is no dense output; times outside of the integration.
         """
         ts = times_to_evaluate(t, self.phases[0].ts.dtype)
         ends = [phase.ts[-1] for phase in self.phases]
@@ -115,7 +115,7 @@ class PhasedSolution(AnySolution):
         """The states that all phases have over time, a matplotlib figure with gaps at the joins.
 
         Args:
-            names: of the states and joints to draw; all states that phases have in common if left out.
+            names: of the states and joints to draw; by default all states that the phases have in common.
             units: of values by name, as of `Solution.plot`.
         Raises:
             InputError: a name that not all phases have; no saved times; a solution that is traced or of a batch.

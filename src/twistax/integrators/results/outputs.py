@@ -38,7 +38,7 @@ def outputs_along(stepper: Stepper, ts: jax.Array, xs: Arrays) -> Arrays:
     missing = [c.name for c in functions.controls if controls is not None and c.name in read and c.name not in controls]
     if missing:
         raise InputError(
-            f"an output reads the control {missing[0]!r}, which the integration was not given; it had: "
+            f"an output reads the control {missing[0]!r}, which was not passed to the integration; it had: "
             f"{listed(controls or ())}.\n  fix: tx.integrate(..., u={{{missing[0]!r}: ...}})"
         )
     dtype = next(iter(xs.values())).dtype

@@ -75,7 +75,7 @@ class Crossings:
 
     @classmethod
     def of(cls, rows: CrossingRows) -> Crossings:
-        """The crossings of a rollout; if numbers are known without the unused rows."""
+        """The crossings of a rollout, without the unused rows if numbers are known."""
         if is_traced(rows):
             return cls(rows.ts, rows.xs, rows.which, rows.directions, rows.used)
         count = int(rows.used)
@@ -130,15 +130,16 @@ class AnySolution(ABC):
     def to_csv(self, path: Any, layout: Any = None) -> None:
         """Write a table of the saved times: a header of names with units, then a row for each time, with all digits.
 
-        Of phases it has the rows of all, with the number of the phase, and the columns that all of them have.
+        For phases it has the rows of all, with the number of the phase, and the columns that all of them have.
 
         Args:
-            path: the file; one that is there is written over.
-            layout: which columns: `tx.columns.Columns(units={"h": "m"}, rotations=tx.columns.EULER)`, or a
-                `tx.columns.Layout` of your own. Left out: time, states, controls and outputs, rotations as quaternions.
+            path: the file; an existing file is overwritten.
+            layout: the columns: `tx.columns.Columns(units={"h": "m"}, rotations=tx.columns.EULER)`, or a
+                `tx.columns.Layout` of your own. By default time, states, controls and outputs, rotations as
+                quaternions.
         Raises:
-            InputError: a batch, or what is traced; a unit of an unknown name; a path that cannot be written.
-            ModelError: no layout.
+            InputError: a batch, or a traced solution; a unit of an unknown name; a path that cannot be written.
+            ModelError: the layout has another type.
         """
         from .table_export import write_csv
 
@@ -192,15 +193,15 @@ class Solution(AnySolution):
     """States at the saved times. A pytree, so that jit, vmap and derivatives of an integration apply.
 
     Attributes:
-        ts: (n,) saved times in s; without save_at the end alone.
+        ts: (n,) saved times in s; without save_at the final time alone.
         xs: states by name, leading axis n.
         stats: counts.
         code: the number of the Result.
-        dense: what `evaluate` reads, with dense=True; else None.
-        which: the number of the event that stopped it, -1 for none; None without events.
-        stepper: the method, the system and the inputs that led here.
-        at_start: (m,) of each event whether its condition was zero or past it at the start; None without events.
-        crossings: the `Crossings` of events that do not end the integration; None where there are none.
+        dense: the data for `evaluate`, with dense=True; else None.
+        which: the number of the event that ended it, -1 for none; None without events.
+        stepper: the method, the system and the inputs of the integration.
+        at_start: (m,) for each event whether its condition was zero or beyond zero at the start; None without events.
+        crossings: the `Crossings` of events that do not end the integration; None without such events.
     """
 
     ts: jax.Array
@@ -223,15 +224,15 @@ class Solution(AnySolution):
 
     @property
     def last(self) -> Arrays:
-        """The state in the last row, by name, such as a start for the next integration. Also of a batch."""
+        """The state in the last row, by name, for example as the start of the next integration. Also for a batch."""
         at = np.ndim(self.ts) - 1
         return {name: jnp.take(value, -1, axis=at) for name, value in self.xs.items()}
 
     @functools.cached_property
     def us(self) -> Arrays:
-        """The controls by name at the saved times, leading axis n: those that hold from then on.
+        """The controls by name at the saved times, leading axis n; at a jump the right-hand limit.
 
-        At the end of a table that has no value after it, those up to there. Also of a batch, and inside of jit.
+        At the end of a table without a later value it is the left-hand limit. Also for a batch, and inside of jit.
         """
         from .outputs import controls_along
 
@@ -239,12 +240,12 @@ class Solution(AnySolution):
 
     @functools.cached_property
     def outputs(self) -> Arrays:
-        """The outputs of the system by name at the saved times, leading axis n; all in one call, when asked for.
+        """The outputs of the system by name at the saved times, leading axis n; computed in one call at first access.
 
-        Also of a batch, and inside of jit. Numbers of rows that were not reached are NaN, as their states.
+        Also for a batch, and inside of jit. Rows that were not reached are NaN, like their states.
 
         Raises:
-            InputError: an output reads a control or a parameter that the integration was not given.
+            InputError: an output reads a control or a parameter that was not passed to the integration.
         """
         from .outputs import outputs_along
 
@@ -252,19 +253,19 @@ class Solution(AnySolution):
 
     @property
     def event(self) -> Any:
-        """The number of the event that stopped it, or None; of traced or mapped solutions an array, -1 for none."""
+        """The number of the event that ended it, or None; for traced or mapped solutions an array, -1 for none."""
         if self.which is None or is_traced(self.which) or np.ndim(self.which) > 0:
             return self.which
         return int(self.which) if int(self.which) >= 0 else None
 
     def evaluate(self, t: Any) -> Arrays:
-        """The states by name at a time () or at times (n,), then on a leading axis. Needs dense=True.
+        """The states by name at a time () or at times (n,), with a leading axis for the latter. Needs dense=True.
 
-        Each is one shorter step of the same method from the start of the step it lies in: in its group, and as accurate
+        Each is one shorter step of the same method from the start of its step: in its group, and as accurate
         as the saved states. Differentiable with respect to t too.
 
         Raises:
-            InputError: no dense output was kept; times outside of what was integrated.
+            InputError: there is no dense output; times outside of the integration.
         """
         if self.dense is None:
             raise InputError("this solution has no dense output.\n  fix: tx.integrate(..., dense=True)")
@@ -284,11 +285,11 @@ class Solution(AnySolution):
         Entries of a mechanism are named by joint, with a panel for each unit.
 
         Args:
-            names: of states, outputs and joints to draw, such as `plot("rpm", "panel")`; all states if left out.
-            units: of values by name, such as {"v": "m/s"}; "SI", and "m" of positions, unless given. Of a mechanism
+            names: of states, outputs and joints to draw, such as `plot("rpm", "panel")`; all states by default.
+            units: of values by name, such as {"v": "m/s"}; the default is "SI", and "m" for positions. For a mechanism
                 {"qd": "rpm"} or {"panel": "deg"} converts from rad and rad/s, m and m/s.
         Raises:
-            InputError: a name that is not there; one saved time alone; a solution that is traced or of a batch.
+            InputError: an unknown name; a single saved time; a traced or batched solution.
             ModelError: matplotlib is not installed.
         """
         need_one("plot", self)
@@ -305,35 +306,36 @@ class Solution(AnySolution):
     def show(self, path: Any = None, **choices: Any) -> Scene:
         """The motion in three dimensions: an animation in one HTML file that needs no network, with a time slider.
 
-        Bodies are true to size, and the side of the squares below them is written beside the time. Pictures between
-        saved times are interpolated: save so many that no body turns by half a turn in between.
+        Bodies are drawn to scale, and the size of the squares of the ground is printed beside the time. Frames between
+        saved times are interpolated: save enough times that no body rotates by half a turn in between.
 
         Args:
-            path: of the HTML file; one that is there is written over. Left out: opened in a browser, or in a notebook.
-            choices: which are
+            path: of the HTML file; an existing file is overwritten. By default it is opened in a browser, or in a
+                notebook.
+            choices: the following options
 
-                bodies: what moves: a mapping of states to what they look like, `{"g": tx.view.Box((1.0, 2.0, 0.5))}`,
+                bodies: a mapping from states to shapes, `{"g": tx.view.Box((1.0, 2.0, 0.5))}`,
                     with one shape, several, or () for axes alone; a state is a pose, a rotation about the origin, or a
-                    pair `("R", "p")` of a rotation and a position. Or a mechanism. Every pose and rotation, as axes,
-                    unless given.
-                arrows: states, controls and outputs (3,), wrenches and twists (6,) that are drawn as arrows:
+                    pair `("R", "p")` of a rotation and a position. Or a mechanism. By default the axes of every pose
+                    and rotation.
+                arrows: states, controls and outputs (3,), wrenches and twists (6,) to draw as arrows:
                     `{"T": tx.view.Arrow("g", at=engine)}`.
-                shapes: what stands still: obstacles, cones, a ground.
-                trails: names of bodies and frames whose path is drawn; those of poses unless given.
-                axes: names of those whose axes are drawn, x red, y green, z blue; of states unless given.
-                up: (3,) the direction that is drawn upwards; z unless given.
-                seconds: how long the animation takes; real time, from 2 to 20 s, unless given.
-                follow: the name of a body or frame that stays in the middle of the picture, which is then drawn some
-                    lengths of it wide; the whole motion is in the picture unless given.
-                caption: names of states, controls and outputs whose values are written beside the time.
-                ground: whether a plane is drawn below everything, with shadows; True unless given.
-                live: serve it to a browser of this machine, too, with a slider; needs no file.
-                opened: open it in a browser where no path is given; True unless given.
+                shapes: fixed shapes: obstacles, cones, a ground.
+                trails: names of bodies and frames whose path is drawn; those of poses by default.
+                axes: names of bodies whose axes are drawn, x red, y green, z blue; those of states by default.
+                up: (3,) the upward direction; z by default.
+                seconds: duration of the animation; by default real time, from 2 to 20 s.
+                follow: the name of a body or frame at the centre of the picture, which is then some
+                    lengths of it wide; by default the picture shows the whole motion.
+                caption: names of states, controls and outputs whose values are printed beside the time.
+                ground: whether a plane is drawn below everything, with shadows; True by default.
+                live: also serve it to a browser on this machine, with a slider; needs no file.
+                opened: open it in a browser if there is no path; True by default.
         Returns:
-            the scene, a `tx.view.Scene`, which can be saved, served and looked at as numbers.
+            the scene, a `tx.view.Scene`, which can be saved, served and inspected.
         Raises:
-            InputError: names that are not there; shapes, arrows or bodies of another kind; one saved time alone; a
-                solution that is traced or of a batch; a path that cannot be written.
+            InputError: unknown names; shapes, arrows or bodies of another type; a single saved time; a
+                traced or batched solution; a path that cannot be written.
             ModelError: viser, the extra `view`, is not installed.
         """
         from ...view.motion import Motion, shown
@@ -345,7 +347,7 @@ class Solution(AnySolution):
         return shown(Motion(np.asarray(self.ts), self.xs, signals, self.stepper.params), path, **choices)
 
     def video(self, path: Any, *, size: tuple[int, int] = (1280, 720), **choices: Any) -> Path:
-        """A film of the motion, such as `solution.video("flight.mp4", follow="g")`; see `tx.view.Scene.video`.
+        """A video of the motion, such as `solution.video("flight.mp4", follow="g")`; see `tx.view.Scene.video`.
 
         Args:
             path, size: of the file, and width and height of its pictures in pixels.

@@ -24,8 +24,8 @@ class Rotations:
 
     Attributes:
         names: of the columns.
-        unit: of them all.
-        read: the numbers of a rotation (3, 3), as many as there are names; traceable.
+        unit: their common unit.
+        read: converts a rotation (3, 3) to these numbers; traceable.
     """
 
     names: tuple[str, ...]
@@ -49,7 +49,7 @@ MATRIX = Rotations(tuple(f"R{i}{j}" for i in "123" for j in "123"), "", _entries
 class Columns(Layout):
     """Time, then all states, controls and outputs, as `name`, `name[i]` or `name[i][j]`.
 
-    A rotation is `name.qw` and so on; a pose has its position before it, `name.x`, `name.y`, `name.z`.
+    A rotation is `name.qw` and so on; the columns of a pose begin with its position, `name.x`, `name.y`, `name.z`.
 
     Attributes:
         units: by name of a state, control or output: a text for all entries (of a pose for its position), or a list
@@ -57,7 +57,7 @@ class Columns(Layout):
         rotations: `tx.columns.QUATERNION`, `EULER` or `MATRIX`.
 
     Raises:
-        ModelError: units that are no texts; rotations of another kind.
+        ModelError: units that are not texts; rotations of another type.
     """
 
     units: Mapping[str, Any] = dataclasses.field(default_factory=dict)

@@ -86,8 +86,8 @@ def name_of(leaf: Any) -> str:
 
 @dataclasses.dataclass(frozen=True)
 class FreeParticle(FreeMotion):
-    """A particle, or any other system with $p' = v$: two states of one shape without a group, in uniform motion when
-    free.
+    """A particle, or any other system with $p' = v$: two states of one shape without a group, in uniform motion without
+    forces.
 
     The rate of v is the acceleration; no mass is needed.
 
@@ -152,23 +152,23 @@ class _ParticleFlows(Flows):
 class FreeBody(FreeMotion):
     """A rigid body: an attitude on SO(3) or a pose on SE(3), and its velocity or momentum in body axes.
 
-    Free, it keeps its momenta in the world: $R' = R [w]x$ and $J w' = (J w) x w$, or $g' = g hat(V)$ and
-    $M V' = -ad*_V (M V)$. An attitude turns about the origin of its frame, a pose also moves; its centre of mass may
-    sit anywhere. Equal where states and inertia are.
+    Without forces its momenta in world axes are constant: $R' = R [w]x$ and $J w' = (J w) x w$, or $g' = g hat(V)$ and
+    $M V' = -ad*_V (M V)$. An attitude rotates about the origin of its frame, a pose also moves; its centre of mass may
+    be anywhere. Bodies with equal states and inertia are equal.
 
     Args:
         pose: the attitude or the pose, a state or its name.
         velocity: the state that is its body velocity, (3,) or (6,) in the order of the pose.
-        momentum: instead, the state that is its body momentum J w or M V, about the frame's origin.
+        momentum: alternatively, the state that is its body momentum J w or M V, about the frame's origin.
         inertia: for an attitude moments (3,) about the body's axes, or a tensor (3, 3), about the origin, kg m2; for a
             pose the spatial inertia (6, 6) in its order, or its diagonal (6,). An array; or a Parameter of the system,
-            its name, or an expression of its parameters, which may then differ from run to run. An array is faster, by
-            far where parameters make a matrix: then the principal axes are not known.
+            its name, or an expression of its parameters, which may then differ from run to run. An array is faster,
+            in particular than a matrix of parameters, whose principal axes are unknown.
 
     Raises:
-        ModelError: not one of velocity and momentum; an inertia that reads anything but parameters. When integrated:
-            states of another kind, or an inertia that belongs to no body. A matrix of parameters that belongs to none
-            cannot be told apart before the first step, which then ends with NaN.
+        ModelError: both or neither of velocity and momentum; an inertia that depends on more than parameters. When
+            integrated: states of another kind, or an inertia that is not physical. For a matrix of parameters this is
+            known at run time only; the first step then ends with NaN.
     """
 
     def __init__(self, pose: Any, velocity: Any = None, *, momentum: Any = None, inertia: Any) -> None:

@@ -17,18 +17,18 @@ _TOLERANCE = 1e-14
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Composition(Coefficients):
-    """A symmetric composition of a symmetric method of order 2: its steps of length w_1 h, ..., w_s h in a row.
+    """A symmetric composition of a symmetric method of order 2: successive steps of length w_1 h, ..., w_s h.
 
-    The order is that of the whole. Some weights are negative from order 4 on: steps back in time.
+    `order` is the order of the composition. From order 4 on some weights are negative: steps backward in time.
 
     Attributes:
-        name: how tables call it.
+        name: its name in tables.
         order: 2, 4, 6, ...
-        weights: (s,), read-only: the same read backwards; they sum to 1, and from order 4 on their cubes, from order 6
+        weights: (s,), read-only and symmetric; they sum to 1, and from order 4 on their cubes, from order 6
             on also their fifth powers and so on, sum to 0.
 
     Raises:
-        ModelError: another order, a wrong shape, a value that is not finite, or a sum that is off.
+        ModelError: another order, a wrong shape, a value that is not finite, or a wrong sum.
 
     Source: Hairer, Lubich, Wanner, Geometric Numerical Integration (2006), section V.3.
     """
@@ -60,12 +60,12 @@ class Composition(Coefficients):
 
     @property
     def nodes(self) -> np.ndarray:
-        """The middles of the stages, in steps: the times of the kicks."""
+        """The middles of the stages, in steps: the times of the momentum changes."""
         return np.cumsum(self.weights) - 0.5 * self.weights
 
     @property
     def between(self) -> np.ndarray:
-        """(s + 1,): how far it is to the first node, from one to the next, and from the last to the end, in steps."""
+        """(s + 1,): the distances to the first node, between nodes, and from the last node to the end, in steps."""
         return 0.5 * (np.append(0.0, self.weights) + np.append(self.weights, 0.0))
 
 

@@ -42,24 +42,25 @@ class _AllParts(StoredState):
 class Splitting(Method):
     """A splitting method for bodies in a potential: explicit, reversible and symplectic, for long integrations.
 
-    For forces and torques that depend on poses, time, controls and parameters, but not on velocities. With S the exact
-    free motion of symmetric bodies, r_1, r_2, ... those of what else is in the kinetic energy, and K the kick by all
-    forces, a step of length h is composed of the symmetric steps
+    Forces and torques may depend on poses, time, controls and parameters, but not on velocities. Let S be the exact
+    free motion of bodies with an axis of symmetry, r_1, r_2, ... rotations by the remaining parts of the kinetic
+    energy, and K the change of momenta by all forces. A step of length h is composed of the symmetric steps
 
         S(h/2) r_1(h/2) r_2(h/2) ... K(h) ... r_2(h/2) r_1(h/2) S(h/2),
 
-    neighbouring S made one: an evaluation of the rates a stage, never at the ends of a step. The rates at rest are the
-    kicks, so any compiled system of this form will do; others are refused. Between steps momenta are stored in world
-    axes: what no force changes stays to the last bit. Energy errors stay bounded as long as steps resolve the motion.
-    Fixed steps.
+    where neighbouring S are combined: there is one evaluation of the rates in each stage, and none at the ends of a
+        step.
+    The rates at rest are the forces, so any compiled system of this form is supported; others raise an error. Between
+    steps momenta are stored in world axes: a momentum that no force changes is conserved to the last bit. Energy errors
+    stay bounded if steps resolve the motion. Steps are fixed.
 
     Attributes:
         composition: `tx.compositions.KAHAN_LI8` or another.
-        bodies: what moves, a `tx.FreeBody` or `tx.FreeParticle` or several, which share all states of the system.
+        bodies: a `tx.FreeBody` or `tx.FreeParticle`, or several, which together have all states of the system.
 
     Raises:
-        ModelError: no composition, or no bodies. When integrated: states that no body covers; forces that depend on
-            velocities; an inertia that is not that of the system.
+        ModelError: the composition or the bodies have another type. When integrated: states that belong to no body;
+            forces that depend on velocities; an inertia that differs from that of the system.
 
     Source: Hairer, Lubich, Wanner, Geometric Numerical Integration (2006), sections II.5 and V.3 (splitting and
     composition) and VII.5 (rigid bodies).

@@ -14,11 +14,13 @@ import numpy as np
 from ...errors import ModelError
 from ...expr import Block, Concat, Constant, Dot, Expr
 from ...expr.fields import ExprLike
+from ...expr.kinds.declare import known_as
+from ...expr.kinds.kinds import Wrench
 from ...expr.lie import CoadjointAction
 from ..arguments import of_shape
 from ..kinematic_tree import KinematicTree, Positions
 from .inertia_frames import in_frame
-from .motion import ZERO, acceleration_of_base, inertia_of, motion
+from .motion import ZERO, acceleration_of_base, accelerations, inertia_of, motion
 from .rotors import turning_of_rotors
 
 #: Wrenches (6,) by the names of the frames they act in, at their origins and in their axes.
@@ -73,15 +75,12 @@ def carried_wrenches(
 ) -> list[Expr]:
     """F (6,) of every segment, in its frame: the wrench through its joint; or only the part that vanishes with qd."""
     moving = motion(mechanism, mechanism.positions(owner, q), mechanism.coordinates(owner, "qd", qd))
-    accelerations: list[Expr] = []
+    base = acceleration_of_base(ZERO if of_velocities else mechanism.gravity)
+    B = accelerations(mechanism, moving, qdd, base)
     needed: list[Expr] = []
-    for state, pushed in zip(moving, outside(owner, mechanism, wrenches), strict=True):
-        before = state.segment.before
-        base = acceleration_of_base(ZERO if of_velocities else mechanism.gravity)
-        B = state.carried(base if before < 0 else accelerations[before])
-        accelerations.append(B + mechanism.along(state.segment, qdd))
+    for state, acceleration, pushed in zip(moving, B, outside(owner, mechanism, wrenches), strict=True):
         bias = state.gyroscopic if of_velocities else state.needed
-        needed.append(less(state.inertia @ accelerations[-1] + bias, pushed))
+        needed.append(less(state.inertia @ acceleration + bias, pushed))
     for i in reversed(range(len(moving))):
         if moving[i].segment.before >= 0:
             needed[moving[i].segment.before] += CoadjointAction(moving[i].T, needed[i])
@@ -217,7 +216,8 @@ def outside(owner: str, mechanism: KinematicTree, wrenches: Wrenches | None) -> 
         at = mechanism.frame(name)
         F = of_shape(owner, f"the wrench at {name!r}", value, (6,), "[f; tau] in the frame's axes")
         if at.segment >= 0:
-            F, before = CoadjointAction(at.T, F), outer_wrenches[at.segment]
+            F = CoadjointAction(at.T, known_as(F, Wrench(mechanism.frame_name(name))))
+            F, before = known_as(F, Wrench(mechanism.segments[at.segment].link.name)), outer_wrenches[at.segment]
             outer_wrenches[at.segment] = F if before is None else before + F
     return outer_wrenches
 

@@ -101,3 +101,12 @@ def motion(mechanism: KinematicTree, positions: list[Expr], qd: Expr) -> list[Mo
             )
         )
     return moving
+
+
+def accelerations(mechanism: KinematicTree, moving: list[Moving], qdd: Expr, base: Expr) -> list[Expr]:
+    """B (6,) of every segment for joint accelerations (n,) and an acceleration of the base."""
+    B: list[Expr] = []
+    for state in moving:
+        before = state.segment.before
+        B.append(state.carried(base if before < 0 else B[before]) + mechanism.along(state.segment, qdd))
+    return B

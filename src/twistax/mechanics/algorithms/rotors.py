@@ -27,11 +27,20 @@ def turning_of_rotors(mechanism: KinematicTree, qd: Expr) -> Expr | None:
     terms: list[Expr] = [Constant(0.0)] * mechanism.dofs
     turning = list(_turning(mechanism))
     for segment, rotor in turning:
-        across = mechanism.along(segment, qd)
-        turned = rotor * Cross(angular(across), linear(across))
+        turned = rotor * _turned(mechanism, segment, qd)
         for k, i in enumerate(segment.freedoms):
             terms[i] = Dot(_slide(segment, k), turned)
     return Concat(*terms) if turning else None
+
+
+def turning_of_rotor(mechanism: KinematicTree, segment: Segment, qd: Expr) -> Expr | None:
+    """w x v (3,) of one joint, for a rotor of one; None where it vanishes for all velocities."""
+    return _turned(mechanism, segment, qd) if _turns(segment) else None
+
+
+def _turned(mechanism: KinematicTree, segment: Segment, qd: Expr) -> Expr:
+    across = mechanism.along(segment, qd)
+    return Cross(angular(across), linear(across))
 
 
 def turning_by_velocities(mechanism: KinematicTree, qd: Expr) -> Expr | None:
@@ -48,12 +57,18 @@ def turning_by_velocities(mechanism: KinematicTree, qd: Expr) -> Expr | None:
 
 
 def _turning(mechanism: KinematicTree) -> Iterator[tuple[Segment, Expr]]:
-    """The segments whose rotors have such a term: a joint of one or two freedoms turns about the axis it slides on."""
+    """The segments whose rotors have such a term."""
     for segment in mechanism.segments:
-        rotor, H = segment.link.drive.rotor, segment.link.joint.motion_subspace
-        still = isinstance(H, Constant) and not (np.any(H.value[:3]) and np.any(H.value[3:]))
-        if rotor is not None and len(segment.freedoms) > 2 and not still:
+        rotor = segment.link.drive.rotor
+        if rotor is not None and _turns(segment):
             yield segment, rotor
+
+
+def _turns(segment: Segment) -> bool:
+    """Whether a rotor has such a term: a joint of one or two freedoms turns about the axis it slides on."""
+    H = segment.link.joint.motion_subspace
+    still = isinstance(H, Constant) and not (np.any(H.value[:3]) and np.any(H.value[3:]))
+    return len(segment.freedoms) > 2 and not still
 
 
 def _slide(segment: Segment, k: int) -> Expr:

@@ -13,7 +13,7 @@ from ...errors import ModelError
 from ...expr import Expr, Sqrt, to_expr
 from ...expr.bases import Entrywise
 from ...expr.fields import ExprLike, Operand, positive
-from ...expr.kinds.rules import Fixed
+from ...expr.kinds.rules import FixedUnits
 from ...expr.kinds.unit import KELVIN, METRE, NEWTON
 
 __all__ = ["US1976", "LayeredAtmosphere", "Pressure", "Temperature"]
@@ -26,7 +26,7 @@ class LayeredAtmosphere:
     With $H = r z / (r + z)$ the geopotential altitude of geometric altitude z, $T = T_i + L_i (H - H_i)$ in layer i and
     $p = p_i exp(-g M / R_u integral dH / T)$, so that $dp/dz = -rho g (r / (r + z))^2$.
 
-    The first layer is continued below its base, the last one above it without end.
+    The first layer is extrapolated below its base, and the last one above it.
 
     Attributes:
         bases: geopotential altitude of the layers' bases, increasing, m.
@@ -39,8 +39,8 @@ class LayeredAtmosphere:
         gas_constant: universal, J/(kmol K).
         heat_ratio: c_p / c_v.
     Raises:
-        ModelError: bases and lapses differ in number, the bases do not increase, a temperature at a base or in the last
-            layer without end would not be positive, another of the numbers is not positive.
+        ModelError: bases and lapses differ in number, the bases do not increase, a temperature at a base or in the
+            last layer is not positive, another number is not positive.
     """
 
     bases: tuple[float, ...]
@@ -170,7 +170,7 @@ class Temperature(_OfAltitude):
         air: the atmosphere, by default the US Standard Atmosphere 1976.
     """
 
-    kinds = Fixed((METRE,), KELVIN)
+    kinds = FixedUnits((METRE,), KELVIN)
 
     def evaluate(self, *values: Array) -> Array:
         return profile(self.air, values[0])[0]
@@ -186,7 +186,7 @@ class Pressure(_OfAltitude):
         air: the atmosphere, by default the US Standard Atmosphere 1976.
     """
 
-    kinds = Fixed((METRE,), NEWTON / METRE**2)
+    kinds = FixedUnits((METRE,), NEWTON / METRE**2)
 
     def evaluate(self, *values: Array) -> Array:
         return self.air.pressure_at_base * jnp.exp(profile(self.air, values[0])[1])

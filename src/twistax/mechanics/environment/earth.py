@@ -25,8 +25,9 @@ from ...errors import ModelError
 from ...expr import Atan2, Block, Concat, Cos, Cross, Expr, Norm, Sin, Sqrt
 from ...expr.bases import Entrywise
 from ...expr.fields import ExprLike, Operand, positive
-from ...expr.kinds.rules import OPEN, Fixed
-from ...expr.kinds.unit import METRE
+from ...expr.kinds.declare import known_as
+from ...expr.kinds.rules import OPEN, FixedUnits
+from ...expr.kinds.unit import METRE, ONE
 from ...expr.lie import AxisRotation
 from ..arguments import of_shape
 
@@ -43,7 +44,7 @@ class Geodetic(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Ellipsoid:
-    """An ellipsoid of revolution that turns evenly about its axis, with its air.
+    """An ellipsoid of revolution that rotates uniformly about its axis, with its air.
 
     Attributes:
         radius: the equatorial radius a, m.
@@ -75,12 +76,12 @@ class Ellipsoid:
     def geodetic(self, position: ExprLike) -> Geodetic:
         """Latitude, longitude and altitude of an Earth-fixed position (3,).
 
-        Of an inertial position, latitude and altitude are the same; the longitude then counts from the inertial x axis.
-        On the axis the longitude is taken as 0 and its derivative as 0. Raises ShapeError.
+        For an inertial position, latitude and altitude are the same; the longitude is then relative to the inertial x
+        axis. On the axis the longitude is defined as 0 and its derivative as 0. Raises ShapeError.
         """
         p = of_shape("geodetic", "position", position, (3,))
         meridian = Meridian(Norm(p[:2]), p[2], self)
-        return Geodetic(meridian[0], Atan2(p[1], p[0]), meridian[1])
+        return Geodetic(known_as(meridian[0], unit=ONE), Atan2(p[1], p[0]), known_as(meridian[1], unit=METRE))
 
     def position(self, latitude: ExprLike, longitude: ExprLike, altitude: ExprLike) -> Expr:
         """The Earth-fixed position (3,) of geodetic coordinates, (), rad and m. Raises ShapeError."""
@@ -122,7 +123,7 @@ WGS84 = Ellipsoid(radius=6378137.0, flattening=1.0 / 298.257223563, rate=7.29211
 def north_east_down(latitude: ExprLike, longitude: ExprLike) -> Expr:
     """The rotation (3, 3) from local axes north, east, down to Earth-fixed axes: its columns are these directions.
 
-    Of a latitude () and a longitude (), rad. At a pole north is that of the meridian of this longitude. Raises
+    Args are a latitude () and a longitude (), rad. At a pole north is that of the meridian of this longitude. Raises
     ShapeError.
     """
     where = "north_east_down"
@@ -134,7 +135,7 @@ def north_east_down(latitude: ExprLike, longitude: ExprLike) -> Expr:
 def east_north_up(latitude: ExprLike, longitude: ExprLike) -> Expr:
     """The rotation (3, 3) from local axes east, north, up to Earth-fixed axes.
 
-    Of a latitude () and a longitude (), rad. Raises ShapeError.
+    Args are a latitude () and a longitude (), rad. Raises ShapeError.
     """
     return north_east_down(latitude, longitude) @ np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
@@ -143,8 +144,8 @@ class OffPole(Entrywise):
     """0 at latitudes that have a north direction, NaN at the poles, entry by entry.
 
     It is added to quantities that do not exist at the poles. A latitude counts as a pole if its cosine is at most four
-    units of round-off: 1e-15 in double precision (6 nm on the Earth), 5e-7 in single precision (3 m). The cosine of the
-    latitude is noise there, and so is every quotient by it.
+    units of round-off: 1e-15 in double precision (6 nm on the Earth), 5e-7 in single precision (3 m). There the cosine
+    of the latitude has no significant digits, nor has any quotient by it.
 
     Shapes: s -> s.
 
@@ -167,11 +168,12 @@ class OffPole(Entrywise):
 class Meridian(Expr):
     """Geodetic latitude and altitude of a point in its meridian plane: [latitude in rad, altitude in m].
 
-    Shapes: (), () -> (2,). Bowring's iteration for the reduced latitude, three rounds, without trigonometry. The
-    altitude is measured from the point of the ellipsoid so found, along its vertical; an error of the latitude enters
-    by its square.
+    Shapes: (), () -> (2,). Bowring's iteration for the reduced latitude, three iterations, without trigonometry. The
+    altitude is measured from the computed point of the ellipsoid, along its vertical; an error of the latitude has
+    a second-order effect.
     Derivatives are those of the exact functions: along the vertical for the altitude, across it for the latitude.
-    Good to round-off from 100 km below the ellipsoid outward. Within 50 km of the centre latitude has no meaning.
+    Accurate to round-off from 100 km below the ellipsoid outward. Within 50 km of the centre the latitude is not
+    defined.
 
     Attributes:
         rho: distance from the axis, m, not negative.
@@ -185,7 +187,7 @@ class Meridian(Expr):
     z: Operand
     ellipsoid: Ellipsoid = WGS84
     takes, gives = ((), ()), (2,)
-    kinds = Fixed((METRE, METRE))
+    kinds = FixedUnits((METRE, METRE))
     # A planet of size one: the finite differences of the suite need values and steps of like size.
     cases = (
         {"rho": 0.8, "z": 0.9, "ellipsoid": Ellipsoid(radius=1.0, flattening=0.1, rate=0.0)},

@@ -43,7 +43,7 @@ class J2:
     """Gravity of an oblate planet: a point mass and the second zonal harmonic.
 
     The potential is $U = GM/r (1 - J2 (R/r)^2 (3 (z/r)^2 - 1)/2)$, with z along the axis of rotation. It does not
-    depend on the longitude, so the position may be given in axes that turn with the planet or do not.
+    depend on the longitude, so the position may be in axes that rotate with the planet, or not.
 
     Attributes:
         gm: gravitational constant times mass, m3/s2.

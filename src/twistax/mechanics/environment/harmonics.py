@@ -15,7 +15,7 @@ from ...checks import listed, number, short, whole
 from ...errors import ModelError
 from ...expr import Expr
 from ...expr.fields import ExprLike, Operand, positive
-from ...expr.kinds.rules import Fixed
+from ...expr.kinds.rules import FixedUnits
 from ...expr.kinds.unit import METRE, SECOND
 from ..arguments import of_shape
 
@@ -27,14 +27,14 @@ class Harmonics:
     """Gravity of the potential $U = GM/r sum_nm (R/r)^n P_nm(sin(phi)) (C_nm cos(m lambda) + S_nm sin(m lambda))$.
 
     phi and lambda are the geocentric latitude and the longitude, P_nm the fully normalised associated Legendre
-    functions and C_00 = 1. What is not in `terms` is zero.
+    functions and C_00 = 1. Coefficients that are not in `terms` are zero.
 
     Attributes:
         gm: gravitational constant times mass, m3/s2.
         radius: R, m.
         terms: (n, m, C_nm, S_nm), fully normalised: degree, order, cosine, sine.
     Raises: ModelError where gm or radius is not positive, an order is above its degree, a degree is not from 2 to 40, a
-        coefficient is not finite, or a term is there twice.
+        coefficient is not finite, or a term occurs twice.
     """
 
     gm: float
@@ -75,7 +75,7 @@ class Harmonics:
     def up_to(self, degree: int, order: int | None = None) -> Harmonics:
         """The terms up to a degree and an order; up_to(2, 0) is the point mass with J2.
 
-        Raises: ModelError for a degree that is not there.
+        Raises: ModelError for a degree that the model does not have.
         """
         if whole("up_to: degree", degree, 0, ModelError) > self.degree:
             raise ModelError(f"up_to expects a degree up to {self.degree}, which these terms have, got {short(degree)}")
@@ -91,8 +91,8 @@ class HarmonicPull(Expr):
     """The gradient of the potential of `Harmonics`. Shapes: (3,) -> (3,), m -> m/s2.
 
     By the recursions of V_nm and W_nm, which are $(R/r)^(n+1) P_nm$ times the cosine and sine; they have no singularity
-    at the poles. P_nm is fully normalised: without that, single precision overflows at degree 30. A term of degree n
-    takes some 20 operations.
+    at the poles. P_nm is fully normalised, because otherwise single precision overflows at degree 30. A term of degree
+    n takes some 20 operations.
 
     Attributes:
         position: planet-fixed, from the centre, m.
@@ -106,7 +106,7 @@ class HarmonicPull(Expr):
     position: Operand
     model: Harmonics
     takes, gives = ((3,),), (3,)
-    kinds = Fixed((METRE,), METRE / SECOND**2, one_frame=True)
+    kinds = FixedUnits((METRE,), METRE / SECOND**2, one_frame=True)
     cases = (
         {
             "position": [0.9, -0.7, 0.6],

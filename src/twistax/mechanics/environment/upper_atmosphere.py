@@ -39,7 +39,7 @@ class UpperAtmosphere:
         gases: molar mass, kg/kmol, and number density, of each gas at the last altitude; numbers may be in any unit. By
             default one gas, of the mean molar mass there.
     Raises:
-        ModelError: gases that are no pairs of positive numbers.
+        ModelError: gases that are not pairs of positive numbers.
     Source: U.S. Standard Atmosphere, 1976, NOAA-S/T 76-1562, equation (36) without its eddies, thermal diffusion and
     flow, for gases above 500 km.
     """

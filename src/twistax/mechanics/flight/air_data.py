@@ -16,6 +16,9 @@ from ...checks import callable_with, number
 from ...errors import ModelError
 from ...expr import Atan2, Block, Concat, Constant, Cos, Cross, Dot, Expr, Max, Norm, Sin, Sqrt, Where
 from ...expr.fields import ExprLike
+from ...expr.kinds.declare import known_as
+from ...expr.kinds.kinds import FreeVector, Wrench
+from ...expr.kinds.unit import KILOGRAM, METRE, NEWTON, SECOND
 from ...expr.lie import wrench
 from ...units import metres
 from ..arguments import of_kind, of_shape
@@ -24,9 +27,12 @@ from .planets import Air
 __all__ = ["Aerodynamics", "AirData", "AirAxes", "body_axes", "drag", "stability_axes", "wind_axes"]
 
 
+_DENSITY, _PRESSURE = KILOGRAM / METRE**3, NEWTON / METRE**2
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class AirData:
-    """Air data of a body, as expressions; each is made when it is first read.
+    """Air data of a body, as expressions that are built at first access.
 
     Attributes:
         velocity: of the body relative to the air, (3,) in body axes, m/s.
@@ -59,17 +65,17 @@ class AirData:
     @cached_property
     def density(self) -> Expr:
         """rho, (), kg/m3."""
-        return self.air.density(self.altitude)
+        return known_as(self.air.density(self.altitude), unit=_DENSITY)
 
     @cached_property
     def pressure(self) -> Expr:
         """p, of the air at rest, (), Pa."""
-        return self.air.pressure(self.altitude)
+        return known_as(self.air.pressure(self.altitude), unit=_PRESSURE)
 
     @cached_property
     def speed_of_sound(self) -> Expr:
         """a, (), m/s."""
-        return self.air.speed_of_sound(self.altitude)
+        return known_as(self.air.speed_of_sound(self.altitude), unit=METRE / SECOND)
 
     @cached_property
     def mach(self) -> Expr:
@@ -79,7 +85,7 @@ class AirData:
     @cached_property
     def dynamic_pressure(self) -> Expr:
         """$rho V^2 / 2$, (), Pa."""
-        return 0.5 * self.density * Dot(self.velocity, self.velocity)
+        return known_as(0.5 * self.density * Dot(self.velocity, self.velocity), unit=_PRESSURE)
 
     @cached_property
     def equivalent_airspeed(self) -> Expr:
@@ -137,7 +143,7 @@ def drag(air: AirData, area: ExprLike) -> Expr:
     of_kind("drag", "air", air, AirData)
     S = of_shape("drag", "area", area, (), unit=metres**2)
     _not_negative("drag: area", S)
-    return -0.5 * S * air.density * air.airspeed * air.velocity
+    return known_as(-0.5 * S * air.density * air.airspeed * air.velocity, FreeVector(), NEWTON)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -150,7 +156,7 @@ class Aerodynamics:
         chord: c, m, the length of pitch coefficients.
         reference: moment reference point, (3,) from the body's origin, m.
         axes: axes of the coefficients: `body_axes`, `stability_axes` or `wind_axes`.
-    Raises: ShapeError, ModelError for values that are no such numbers or expressions, or are below 0.
+    Raises: ShapeError, ModelError for values that are not numbers or expressions, or are below 0.
     """
 
     area: ExprLike
@@ -179,13 +185,13 @@ class Aerodynamics:
 
     def wrench(self, air: AirData, force: ExprLike, moment: ExprLike = (0.0, 0.0, 0.0)) -> Expr:
         """The wrench [f; tau] (6,) at the body's origin, in its axes: $q S R C_f$, and $q S R (b C_l, c C_m, b C_n)$
-        moved there.
+        transformed to this origin.
         """
         of_kind("Aerodynamics.wrench", "air", air, AirData)
         R, load = self.axes(air), air.dynamic_pressure * self.area
         f = load * (R @ _vector("force", force))
         tau = load * (R @ (self.lengths * _vector("moment", moment)))
-        return wrench(force=f, torque=tau + Cross(self.reference, f))
+        return known_as(wrench(force=f, torque=tau + Cross(self.reference, f)), Wrench())
 
 
 def _vector(name: str, value: ExprLike) -> Expr:

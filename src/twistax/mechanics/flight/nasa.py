@@ -76,11 +76,11 @@ class NasaColumns(Layout):
 
     They cover `Vehicle.outputs()` and the altitude rate $h' = -v_d$. Other outputs of the system are included if they
     have one of these names: local_gravity, speed_of_sound, pressure, temperature, mach and dynamic_pressure (),
-    aero_force and aero_moment (3,). Columns that the system does not have are left out.
+    aero_force and aero_moment (3,). Columns without an output are omitted.
 
     Attributes:
         si: in m, s, rad, kg, N, Pa and K, as in the files called _si; else in feet, degrees, slugs, pounds and knots.
-    Raises: ModelError for an `si` that is no bool.
+    Raises: ModelError for an `si` that is not a bool.
     """
 
     si: bool = False

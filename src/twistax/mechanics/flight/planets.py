@@ -40,7 +40,7 @@ class Gravity(Protocol):
 
     @property
     def axisymmetric(self) -> bool:
-        """Whether it is the same at all longitudes."""
+        """Whether it is independent of the longitude."""
 
     @property
     def gm(self) -> float:
@@ -69,13 +69,13 @@ class Air(Protocol):
 
 @dataclasses.dataclass(frozen=True)
 class Planet:
-    """A planet that turns about its z axis: its figure, gravity and atmosphere.
+    """A planet that rotates about its z axis: its figure, gravity and atmosphere.
 
     Attributes:
         figure: the ellipsoid to which latitudes and altitudes refer, and its rate of rotation.
         gravity: its gravity.
         air: its atmosphere, at rest relative to the planet.
-    Raises: ModelError for a part that is no such thing.
+    Raises: ModelError for a part of another type.
     """
 
     figure: earth.Ellipsoid
@@ -98,10 +98,10 @@ class Planet:
     def local_pose(
         self, latitude: ExprLike, longitude: ExprLike, altitude: ExprLike, axes: Axes = earth.north_east_down
     ) -> Expr:
-        """T_fl (4, 4): local axes at a place in planet-fixed ones.
+        """T_fl (4, 4): local axes at a position in planet-fixed ones.
 
         Args:
-            latitude, longitude, altitude: the place, (), rad and m.
+            latitude, longitude, altitude: of the position, (), rad and m.
             axes: `earth.north_east_down` or `earth.east_north_up`.
         Raises: ShapeError.
         """
@@ -136,7 +136,7 @@ REFERENCE_TAKES = ("planet", "latitude", "altitude", "ned_velocity")
 
 
 def inertial_axes(planet: Planet, latitude: ExprLike, altitude: ExprLike, ned_velocity: ExprLike) -> Expr:
-    """Inertial axes, for rates relative to space: their rate is zero."""
+    """Inertial axes, for rates relative to inertial space: their rate is zero."""
     return Constant([0.0, 0.0, 0.0])
 
 
@@ -148,8 +148,8 @@ def fixed_axes(planet: Planet, latitude: ExprLike, altitude: ExprLike, ned_veloc
 
 
 def local_axes(planet: Planet, latitude: ExprLike, altitude: ExprLike, ned_velocity: ExprLike) -> Expr:
-    """North-east-down axes, for rates relative to the local horizon. They turn with the planet and with the motion over
-    it.
+    """North-east-down axes, for rates relative to the local horizon. They rotate with the planet and with the motion
+    over it.
 
     Their rate is that of the planet plus the transport rate (v_e / (N + h), -v_n / (M + h), -v_e tan(latitude) / (N +
     h)), with M and N the radii of `Ellipsoid.radii`. At the poles, which have no north direction, it is NaN.

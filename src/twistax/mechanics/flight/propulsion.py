@@ -13,6 +13,8 @@ from ...checks import number, short
 from ...errors import ModelError
 from ...expr import Constant, Cross, Expr
 from ...expr.fields import ExprLike
+from ...expr.kinds.declare import known_as
+from ...expr.kinds.kinds import Wrench
 from ...expr.lie import angular, wrench
 from ...units import kilograms, metres, newtons, same_unit, seconds
 from ..arguments import of_kind, of_shape
@@ -32,9 +34,9 @@ class Engine:
     Attributes:
         thrust: (), N.
         mass_flow: the flow out of the body, (), kg/s, positive.
-        position: where the thrust acts and the gas leaves, (3,), m.
+        position: the point of the thrust and of the exhaust, (3,), m.
         direction: of the thrust, (3,), of length 1; an expression if it is gimballed.
-    Raises: ShapeError, ModelError for values that are no such numbers or expressions.
+    Raises: ShapeError, ModelError for values that are not numbers or expressions.
     """
 
     thrust: ExprLike
@@ -61,7 +63,7 @@ class Engine:
     def wrench(self) -> Expr:
         """$[f; p x f]$ (6,) of the thrust f."""
         force = self.thrust * of_shape("Engine", "direction", self.direction, (3,))
-        return wrench(force=force, torque=Cross(self.position, force))
+        return known_as(wrench(force=force, torque=Cross(self.position, force)), Wrench())
 
 
 def rocket(
@@ -77,7 +79,7 @@ def rocket(
     """A rocket engine: its thrust is $s T - p A$, its mass flow $s T / (g_0 I)$, s the throttle.
 
     Args:
-        throttle: (), 0 to 1; at 0 the pressure term stays, so switch a dead engine off by `tx.Where`.
+        throttle: (), 0 to 1; at 0 the pressure term remains, so switch off an engine by `tx.Where`.
         pressure: p of the air, (), Pa.
         vacuum_thrust: T, N.
         specific_impulse: I in vacuum, s.
@@ -102,20 +104,21 @@ def burning(V: ExprLike, flow: ExprLike, kilogram: SpatialInertia, outlet: ExprL
     """The wrench (6,) of mass that leaves a body, besides the thrust: Coriolis force and jet damping.
 
     With w the body's rate, f the mass flow, c and J the centre and the inertia about the origin of one kilogram of the
-    mass that leaves, and r the outlet,
+    leaving mass, and r the outlet,
 
         $force = -2 f w x (r - c), moment = f (J w - r x (w x r) - w x (c x r))$
 
-    With this wrench $M V' = F - ad*_V(M V)$, F the sum of all wrenches and M the momentary inertia, is the balance of
-    momentum of a body with a steady flow along a line from c to r. The effect of a changing flow, f' (r - c) and
-    $f' (c x r)$, is left out. Along an axis of symmetry, about the centre of mass, the moment is $-(I' + f l^2) w$, the
+    With this wrench $M V' = F - ad*_V(M V)$, F the sum of all wrenches and M the instantaneous inertia, is the balance
+    of momentum of a body with a steady flow along a line from c to r. The effect of an unsteady flow, f' (r - c) and
+    $f' (c x r)$, is omitted. Along an axis of symmetry, about the centre of mass, the moment is $-(I' + f l^2) w$, the
     jet damping of textbooks.
 
     Args:
         V: the body's twist (6,).
         flow: f, kg/s, positive out.
-        kilogram: the derivative of the body's inertia by its mass. For a tank that empties evenly: a body of 1 kg at
-            its centre with its inertia per mass. For a tank whose level falls: the layer at the surface.
+        kilogram: the derivative of the body's inertia with respect to its mass. For a tank that empties uniformly: a
+            body of 1 kg at its centre with its inertia per mass. For a tank with a falling level: the layer at the
+            surface.
         outlet: r (3,), m, such as the engine's position.
     Raises: ShapeError.
     Source: derived from the balance of momentum over the body's volume; Cornelisse, Schoyer and Wakker, Rocket

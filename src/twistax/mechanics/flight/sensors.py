@@ -19,8 +19,8 @@ __all__ = ["Imu", "ImuReading", "probe"]
 
 
 class ImuReading(NamedTuple):
-    """What an IMU measures, in its axes: the specific_force (3,), m/s2, and the rate relative to inertial axes (3,),
-    rad/s.
+    """The measured quantities of an IMU, in its axes: the specific_force (3,), m/s2, and the rate relative to inertial
+    axes (3,), rad/s.
     """
 
     specific_force: Expr
@@ -35,7 +35,7 @@ class Imu:
         position: (3,) in body axes, m.
         mounting: the rotation (3, 3) from the sensor's axes to body axes.
         accelerometer_bias: (3,), m/s2, and gyro_bias: (3,), rad/s, in the sensor's axes.
-    Raises: ShapeError, ModelError for values that are no such numbers or expressions.
+    Raises: ShapeError, ModelError for values that are not numbers or expressions.
     """
 
     position: ExprLike = (0.0, 0.0, 0.0)

@@ -36,7 +36,7 @@ __all__ = ["numbers", "start"]
 
 
 def numbers(expression: ExprLike, values: Mapping[Leaf, Any] | None = None) -> np.ndarray:
-    """The numerical value of an expression, in double precision, without compiling.
+    """The numerical value of an expression, in double precision, without compilation.
 
     `numbers(EARTH.local_pose(0.6, 0.1, 9e3))` is a pose as an array.
 
@@ -81,26 +81,26 @@ def start(
     and its body twist relative to them, in double precision.
 
     Numbers have a unit of `tx.units`, or are in m, s and rad. Values may be traced, for example in a Monte Carlo
-    simulation over starts. The state is then traced too, in JAX's precision; angles are not checked, and a rate
-    relative to axes that do not exist is NaN.
+    simulation over initial states. The state is then traced too, in JAX's precision; angles are not checked, and a rate
+    relative to undefined axes is NaN.
 
-    At a pole north-east-down axes are those of the meridian of `longitude`. They do not turn at a finite rate there, so
-    a rate relative to `local_axes` does not exist.
+    At a pole north-east-down axes are those of the meridian of `longitude`. Their rate is infinite there, so
+    a rate relative to `local_axes` is not defined.
 
     Args:
         latitude, longitude: geodetic.
         altitude: above the ellipsoid.
-        ned_velocity: relative to the turning planet, north, east and down.
-        euler: roll, pitch and yaw of the body relative to north-east-down: turns about z, y and x in this order.
+        ned_velocity: relative to the rotating planet, north, east and down.
+        euler: roll, pitch and yaw of the body relative to north-east-down: rotations about z, y and x in this order.
         rate: about body axes.
         relative_to: the axes to which the rate is relative: `fixed_axes` (zero for a body at rest on the planet),
             `local_axes` (zero in steady flight), or `inertial_axes`.
-        planet: where the vehicle is.
-        t: the time, which turns the planet.
+        planet: the planet.
+        t: the time, which determines the rotation of the planet.
         pose, twist: names of the states.
     Raises:
-        InputError: another unit, shape or kind; a latitude beyond a pole; an angle of more than a turn; axes of
-            `relative_to` that have no rate at this place, as local ones at a pole.
+        InputError: another unit, shape or type; a latitude beyond a pole; an angle of more than a turn; axes of
+            `relative_to` without a finite rate at this place, such as local ones at a pole.
     """
     of_kind("start", "planet", planet, Planet)
     callable_with("start: relative_to", relative_to, REFERENCE_TAKES, ModelError)

@@ -47,8 +47,7 @@ def even_turbulence(lengths: Any, intensities: Any) -> Scales:
 
 
 def low_altitude_turbulence(wind: Any) -> Scales:
-    """Turbulence scales between 10 and 1000 ft over the ground, from the wind at 20 ft. Outside, the values at the ends
-    hold.
+    """Turbulence scales between 10 and 1000 ft over the ground, from the wind at 20 ft, constant below and above.
 
     With h in ft: $L_w = h$, $L_u = L_v = h / (0.177 + 0.000823 h)^(1.2)$, $sigma_w = 0.1 u_20$ and
     $sigma_u = sigma_v = sigma_w / (0.177 + 0.000823 h)^(0.4)$.
@@ -79,7 +78,7 @@ class Dryden:
         scales: `low_altitude_turbulence(...)`, `even_turbulence(...)`, or a function of the height.
         span: b, m.
         ground: altitude of the ground, m.
-        name: of the state; the control is named after it.
+        name: of the state; the control has a name derived from it.
     Raises: InputError for other units; ModelError for a span that is not positive.
     """
 

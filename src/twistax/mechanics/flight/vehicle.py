@@ -10,8 +10,11 @@ import numpy as np
 
 from ...checks import callable_with, listed
 from ...errors import ModelError
-from ...expr import Concat, Expr, Norm, State, Time, Where
+from ...expr import Concat, Expr, Norm, State, Time, Where, to_expr
 from ...expr.fields import ExprLike
+from ...expr.kinds import kinds
+from ...expr.kinds.declare import known_as
+from ...expr.kinds.unit import METRE, ONE, SECOND
 from ...expr.lie import EulerAngles, angular, linear
 from ...groups import SE3
 from ...system import System
@@ -27,15 +30,22 @@ from .wind import CALM, Wind
 
 __all__ = ["Vehicle"]
 
+#: The names of frames, for leaves that declare theirs: inertial and planet-fixed axes; north, east, down; the body.
+INERTIAL, FIXED, LOCAL, BODY = "inertial", "fixed", "ned", "body"
+_SPEED, _RATE = METRE / SECOND, ONE / SECOND
+
 
 class Vehicle:
     """A rigid body in flight over a planet. Its states are the pose g in inertial axes and the body twist V.
 
-    The properties are expressions, each made when it is first read, so what is not used costs nothing. Angles are in
+    The properties are expressions that are built at first access, so unused ones cost nothing. Angles are in
     rad. The longitude of `place` is the geographic one.
 
     On the axis of the planet there is no north direction: `attitude`, `euler`, `ned_velocity` and a wind are NaN there,
     and so is `rate(local_axes)` at a pole.
+
+    To a system in which leaves declare what they are (`tx.kinds`), its frames are "inertial", "fixed" to the planet,
+    "ned" and "body".
 
     Args:
         planet: figure, rotation, gravity and air.
@@ -65,7 +75,9 @@ class Vehicle:
         if turbulence is not None:
             of_kind("Vehicle", "turbulence", turbulence, Dryden)
         self.planet, self.wind, self.turbulence = planet, wind, turbulence
-        self.pose, self.twist, self.time = State(pose, group=SE3), State(twist, shape=(6,)), Time()
+        self.pose = known_as(State(pose, group=SE3), kinds.Pose(INERTIAL, BODY))
+        self.twist = known_as(State(twist, shape=(6,)), kinds.Twist(BODY))
+        self.time = Time()
 
     # ---- place and attitude --------------------------------------------------------------------------------------
 
@@ -77,12 +89,12 @@ class Vehicle:
     @cached_property
     def velocity(self) -> Expr:
         """(3,) relative to and in inertial axes, m/s."""
-        return self.pose[:3, :3] @ linear(self.twist)
+        return known_as(self.pose[:3, :3] @ linear(self.twist), kinds.FreeVector(INERTIAL), _SPEED)
 
     @cached_property
     def fixed_position(self) -> Expr:
         """(3,) in planet-fixed axes, m."""
-        return self._turn.T @ self.position
+        return known_as(self._turn.T @ self.position, kinds.Point(FIXED))
 
     @cached_property
     def place(self) -> Geodetic:
@@ -94,17 +106,17 @@ class Vehicle:
     @cached_property
     def attitude(self) -> Expr:
         """The rotation (3, 3) from body axes to north, east, down."""
-        return self._local.T @ self.pose[:3, :3]
+        return known_as(self._local.T @ self.pose[:3, :3], kinds.Rotation(LOCAL, BODY))
 
     @cached_property
     def euler(self) -> Expr:
-        """Roll, pitch and yaw (3,) of the attitude, rad. Pitched straight up or down, roll is 0."""
+        """Roll, pitch and yaw (3,) of the attitude, rad. At a pitch of +-90 degrees roll is 0."""
         return EulerAngles(self.attitude)
 
     @cached_property
     def ned_velocity(self) -> Expr:
         """(3,) relative to the planet, north-east-down, m/s."""
-        return self._local.T @ self._ground_velocity
+        return known_as(self._local.T @ self._ground_velocity, kinds.FreeVector(LOCAL), _SPEED)
 
     def rate(self, relative_to: Reference = inertial_axes) -> Expr:
         """The body's rate (3,) in body axes, rad/s, relative to `inertial_axes`, `fixed_axes` or `local_axes`."""
@@ -113,23 +125,25 @@ class Vehicle:
             return w
         callable_with("Vehicle.rate: relative_to", relative_to, REFERENCE_TAKES, ModelError)
         spin = relative_to(self.planet, self._over.latitude, self._over.altitude, self.ned_velocity)
-        return w - self.attitude.T @ spin
+        return w - self.attitude.T @ known_as(to_expr(spin), kinds.FreeVector(LOCAL), _RATE)
 
     # ---- air and gravity -----------------------------------------------------------------------------------------
 
     @cached_property
     def air(self) -> AirData:
-        """The air data. Rates relative to the air are relative to the turning planet and to gusts."""
+        """The air data. Rates relative to the air are relative to the rotating planet and to gusts."""
         turning = Concat(0.0, 0.0, self.planet.figure.rate)
         velocity, rate = self._steady_air_velocity, angular(self.twist) - self.pose[:3, :3].T @ turning
         if self._gust is not None:
             velocity, rate = velocity - self._gust.velocity, rate - self._gust.rate
-        return AirData(velocity, self._over.altitude, self.planet.air, rate)
+        velocity = known_as(velocity, kinds.FreeVector(BODY), _SPEED)
+        return AirData(velocity, self._over.altitude, self.planet.air, known_as(rate, kinds.FreeVector(BODY), _RATE))
 
     @cached_property
     def gravitation(self) -> Expr:
         """Acceleration by gravity at the body's origin, (3,) in inertial axes, m/s2."""
-        return self.planet.gravitation(self.position, self.time)
+        pull = self.planet.gravitation(self.position, self.time)
+        return known_as(pull, kinds.FreeVector(INERTIAL), _SPEED / SECOND)
 
     def gradient_torque(self, body: SpatialInertia) -> Expr:
         """The gravity gradient's moment on a body about its centre of mass, (3,) in body axes, N m."""
@@ -143,15 +157,16 @@ class Vehicle:
         """V' (6,) of a body under gravity and a wrench.
 
         Args:
-            body: mass, centre of mass and inertia in body axes, of the mass there is. What masses that move in it do is
-                counted; what mass that leaves it does belongs to wrench, see `SpatialInertia`.
-            wrench: [f; tau] (6,) of everything but gravity, at the body's origin in its axes.
+            body: mass, centre of mass and inertia in body axes, instantaneous values. The effect of masses that move
+                in it is included; the effect of mass that leaves it belongs to wrench, see `SpatialInertia`.
+            wrench: [f; tau] (6,) of all forces but gravity, at the body's origin in its axes.
         Raises:
-            ModelError: body is no SpatialInertia.
+            ModelError: body is not a SpatialInertia.
             ShapeError: wrench is not of shape (6,).
         """
         of_kind("Vehicle", "body", body, SpatialInertia)
-        F = of_shape("Vehicle", "wrench", wrench, (6,)) + body.weight(self.pose, self.gravitation)
+        applied = known_as(of_shape("Vehicle", "wrench", wrench, (6,)), kinds.Wrench(BODY))
+        F = applied + body.weight(self.pose, self.gravitation)
         return body.acceleration(self.twist, F)
 
     def system(
@@ -163,15 +178,15 @@ class Vehicle:
         outputs: Mapping[str, ExprLike] | None = None,
         **more: Any,
     ) -> System:
-        """The body's motion under gravity and a wrench, and the turbulence.
+        """The system of the body's motion under gravity and a wrench, and of the turbulence.
 
         Args:
             body, wrench: as of `acceleration`.
-            rates: of further states; where body depends on them its masses move by these.
-            outputs: beside those of `outputs()`.
-            more: what `System` takes.
+            rates: of further states; if the body depends on them, its masses move at these rates.
+            outputs: in addition to those of `outputs()`.
+            more: further arguments of `System`.
         Raises: ModelError, ShapeError, as `acceleration`; ModelError for a rate of the vehicle's own states, or an
-            output of a name that it has.
+            output whose name is in use.
         """
         of_kind("Vehicle", "body", body, SpatialInertia)
         motion: dict[State | str, ExprLike] = {
@@ -197,7 +212,7 @@ class Vehicle:
         return System({**motion, **(rates or {})}, {**ready, **(outputs or {})}, **more)
 
     def outputs(self) -> dict[str, Expr]:
-        """The outputs by which flights are usually compared.
+        """The standard outputs for comparisons of flights.
 
         position, velocity (inertial), fixed_position (3,); latitude, longitude, altitude (); ned_velocity (3,);
         attitude (3, 3), body to north-east-down; euler (3,), roll, pitch and yaw of it; rate (3,), inertial; airspeed,
@@ -226,7 +241,7 @@ class Vehicle:
 
     @cached_property
     def _turn(self) -> Expr:
-        return self.planet.figure.to_inertial(self.time)
+        return known_as(self.planet.figure.to_inertial(self.time), kinds.Rotation(INERTIAL, FIXED))
 
     @cached_property
     def _over(self) -> Geodetic:
@@ -239,7 +254,8 @@ class Vehicle:
     def _local(self) -> Expr:
         """The rotation from north-east-down to inertial axes; NaN on the axis of the planet, which has no north."""
         off_axis = Where(Norm(self.position[:2]) > 0.0, 1.0, np.nan)
-        return north_east_down(self._over.latitude, self._over.longitude * off_axis)
+        axes = north_east_down(self._over.latitude, self._over.longitude * off_axis)
+        return known_as(axes, kinds.Rotation(INERTIAL, LOCAL))
 
     @cached_property
     def _ground_velocity(self) -> Expr:
@@ -252,7 +268,7 @@ class Vehicle:
         velocity = self._ground_velocity
         if self.wind is not CALM:
             blown = of_shape("Vehicle", "the wind's velocity", self.wind(self.place, self.time), (3,))
-            velocity = velocity - self._local @ blown
+            velocity = velocity - self._local @ known_as(blown, kinds.FreeVector(LOCAL), _SPEED)
         return self.pose[:3, :3].T @ velocity
 
     @cached_property

@@ -33,7 +33,7 @@ class Steady:
 
     Attributes:
         velocity: north-east-down, m/s. A wind from the west has a positive second entry.
-    Raises: InputError for what is no velocity.
+    Raises: InputError for a value that is not a velocity.
     """
 
     velocity: Any

@@ -27,36 +27,36 @@ def load(
     quarter_turns: float = 1e-9,
     within: str | Path | None = None,
 ) -> Mechanism:
-    """The mechanism that a file describes, in URDF or in MJCF; its root element says which.
+    """The mechanism that a file describes, in URDF or in MJCF, which the root element determines.
 
     MJCF is compiled by MuJoCo (`pip install twistax[models]`). `solution.show` draws boxes, cylinders, balls, capsules
-    and meshes: of URDF those whose file is found, of MJCF those that a mass follows from. `mechanism.notes` says what
-    the file has that is not used, such as other meshes or an attribute that is not known, and what was read in a way
-    that the file does not say. Nothing in a file is run. Meshes of URDF are opened when they are drawn, of MJCF
-    included files and the meshes that a mass follows from when the model is loaded.
+    and meshes whose files are found. `mechanism.notes` lists elements of the file that are not used, such as missing
+    meshes or an unknown attribute, and interpretations by convention. Nothing in a file is executed. Meshes are opened
+    when they are drawn; included files of MJCF, and meshes that a mass follows from, when the model is loaded.
 
-    Masses and inertias are checked. Links that are fixed together count as one body. A link with a mass or inertia that
-    no body has is refused if the equations of motion may have no solution or several: its body has a mass or a
-    principal moment that is not positive. It gets a note if its body does not move, is possible as a whole, or has one
-    principal moment above the sum of the other two, as files from identification or CAD have.
+    Masses and inertias are checked. Links that are fixed together count as one body. A moving body whose mass or a
+    principal moment is not positive raises an error, because the equations of motion may have no unique solution.
+    `notes` lists non-physical links in a body that does not move, or that is physical as a whole, and bodies with one
+    principal moment above the sum of the other two, which are frequent in files from identification or CAD.
 
     Args:
         path: of the file.
-        floating: the root link of URDF is free in space, on a joint "root" ("root (2)" if the file has that name);
-            else it is at rest. MJCF says it itself.
+        floating: the root link of URDF moves freely, on a joint "root" ("root (2)" if the file has that name);
+            by default it is at rest. In MJCF the file determines it.
         parameters: True, or names, of numbers that become Parameters with the file's values: `<link>_mass`,
             `<link>_center_of_mass` (3,), `<link>_inertia` (3, 3) about it, `<joint>_origin` (3,), `<joint>_axis` (3,),
             `<joint>_damping`, `<joint>_friction`, of MJCF `<body>_origin` in place of the joint's, and also
-            `<joint>_armature` and `<joint>_stiffness`, without what its servo adds. Other values compile nothing anew.
-            A mass of zero stays zero.
+            `<joint>_armature` and `<joint>_stiffness`, without the contribution of its servo. Other values do not
+            recompile. A mass of zero stays zero.
         keep: names of fixed joints that are not merged, as for `Mechanism`.
-        gravity: (3,), m/s2, in the base's axes; the file's, or 9.81 downwards along z, unless given.
-        physical: True refuses every moving body that no real body can be, False accepts all masses and inertias as they
-            are. `{"tool": False}` says it for the link "tool" alone.
-        quarter_turns: angles of origins this near to a multiple of a quarter turn, rad, are taken as that: files write
-            1.57079632679. In MJCF entries of rotation matrices. Zero takes them as they are written.
-        within: a folder that the file is in. Other files are opened in this folder or below, links of the file system
-            followed; the folder of the file unless given.
+        gravity: (3,), m/s2, in the base's axes; by default that of the file, or 9.81 downwards along z.
+        physical: True raises an error for every moving body that is not physical, False accepts all masses and
+            inertias. `{"tool": False}` applies to the link "tool" alone.
+        quarter_turns: tolerance, rad, within which angles of origins are rounded to a multiple of a quarter turn,
+            because files write 1.57079632679. In MJCF it applies to entries of rotation matrices. Zero disables
+            rounding.
+        within: a folder that contains the file. Other files are opened in this folder or below, after symbolic links
+            are resolved; by default the folder of the file.
     Raises: ModelError with file, line and element.
 
     Example:

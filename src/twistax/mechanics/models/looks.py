@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import collections
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from ...errors import TwistaxError
 from ...view import Box, Capsule, Cylinder, Ellipsoid, Mesh, Shape, Sphere
 from ...view.shapes import STEEL, Color
 from ..arguments import matrix
+from .mjcf_file import DrawnMesh
 from .xml_file import Element
 
 #: The last of MuJoCo's groups of geoms that its viewer draws by default.
@@ -121,13 +122,14 @@ def _painted(rgba: Any) -> tuple[Color, float]:
 
 
 def looks_of_mjcf(
-    model: Any, mujoco: Any, rotation: Callable[[Any], NDArray[np.float64]]
+    model: Any, mujoco: Any, rotation: Callable[[Any], NDArray[np.float64]], drawn: Mapping[int, DrawnMesh]
 ) -> tuple[dict[int, tuple[Shape, ...]], int]:
     """The shapes of every body, by its number and in its axes: those that MuJoCo draws, or else the hidden ones.
 
     Args:
         model: a `mujoco.MjModel`.
         rotation: the matrix of a quaternion.
+        drawn: meshes in place of geoms, by number; their files are read when they are drawn.
     Returns:
         the shapes, and how many geoms have none: planes and height fields.
     """
@@ -152,10 +154,13 @@ def looks_of_mjcf(
         }
         a, b, c = (float(x) for x in model.geom_size[i])
         kind, body = int(model.geom_type[i]), int(model.geom_bodyid[i])
-        if kind == int(kinds.mjGEOM_MESH):
-            shown[body].append(Mesh(_triangles(model, int(model.geom_dataid[i])), **looks))
+        shapes = (hidden if model.geom_group[i] > _SHOWN else shown)[body]
+        if mesh := drawn.get(i):
+            shapes.append(Mesh(mesh.path, scale=mesh.scale, **{**looks, "at": looks["at"] @ mesh.offset}))
+        elif kind == int(kinds.mjGEOM_MESH):
+            shapes.append(Mesh(_triangles(model, int(model.geom_dataid[i])), **looks))
         elif kind in known:
-            (hidden if model.geom_group[i] > _SHOWN else shown)[body].append(known[kind](a, b, c, looks))
+            shapes.append(known[kind](a, b, c, looks))
         else:
             left_out += 1
     return {i: tuple(shown[i] or hidden[i]) for i in range(model.nbody)}, left_out

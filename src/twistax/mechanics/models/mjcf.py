@@ -28,6 +28,7 @@ from ..drives import Drive
 from ..joints import Fixed, Free, Joint, Prismatic, Revolute, Spherical
 from ..loops import Loop
 from ..tree import Link
+from ..writers.written import UNLIMITED
 from .choices import Choices
 from .looks import looks_of_mjcf
 from .mjcf_equalities import Closure, Equalities, Place
@@ -68,7 +69,7 @@ class Mjcf:
         self._file = file = Compiled(root, folder)
         self.model = file.model
         self.notes = [*file.warnings, *(f"{kind}: {count}" for kind, count in sorted(file.left_out.items()))]
-        self._looks, not_drawn = looks_of_mjcf(self.model, self.mujoco, self._rotation)
+        self._looks, not_drawn = looks_of_mjcf(self.model, self.mujoco, self._rotation, file.drawn)
         if not_drawn:
             self.notes.append(f"geoms that are not drawn, meshes and planes: {not_drawn}")
         self.base, self.shapes = self._name("body", 0), self._looks[0]
@@ -202,7 +203,8 @@ class Mjcf:
             if getattr(servo, what):
                 options[what] = options.get(what, 0.0) + getattr(servo, what)
         if single and model.jnt_limited[j] and self._switched_on("LIMIT"):
-            options |= dict(zip(("lower", "upper"), map(float, model.jnt_range[j]), strict=True))
+            bounds = zip(("lower", "upper"), map(float, model.jnt_range[j]), strict=True)
+            options |= {what: bound for what, bound in bounds if abs(bound) < UNLIMITED}
         return Drive(rest=rest if "stiffness" in options else 0.0, gear=servo.gear, effort=servo.limits, **options)
 
     # ---- actuators ---------------------------------------------------------------------------------------------------

@@ -7,12 +7,16 @@ of the model or below it. What could run code or open files that are not looked 
 from __future__ import annotations
 
 import collections
+import dataclasses
 import os
 import re
 import warnings
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import quoteattr
+
+import numpy as np
+from numpy.typing import NDArray
 
 from ...errors import ModelError
 from .xml_file import Element, read_xml
@@ -41,6 +45,27 @@ def compiler(element: Element) -> Any:
     return mujoco
 
 
+#: Formats of meshes that are drawn, and that MuJoCo reads too.
+_DRAWN = {".stl", ".obj"}
+#: The radius of the sphere in place of a mesh that is only drawn, m.
+_TINY = 1e-6
+
+
+@dataclasses.dataclass(frozen=True)
+class DrawnMesh:
+    """A mesh that affects no mass, which stays in its file until it is drawn.
+
+    Attributes:
+        path: of the file.
+        scale: factors of its coordinates.
+        offset: (4, 4), its axes in those of the geom.
+    """
+
+    path: Path
+    scale: tuple[float, float, float]
+    offset: NDArray[np.float64]
+
+
 class Compiled:
     """A file compiled by MuJoCo, without the parts that do not affect the dynamics.
 
@@ -51,6 +76,7 @@ class Compiled:
         model: the `mujoco.MjModel`.
         warnings: MuJoCo's.
         left_out: how many of each kind were taken out before compiling, by kind.
+        drawn: meshes that are only drawn, by the number of a tiny sphere of zero mass in the place of the geom.
     Raises: ModelError with file, line and element.
     """
 
@@ -59,12 +85,13 @@ class Compiled:
         self.left_out = collections.Counter[str]()
         self._folder, self._within = root.path.resolve().parent, folder.resolve()
         self._opened = dict[str, Element]()
+        drawn = list[tuple[Any, DrawnMesh]]()
         self._root, self._elements, self._read = root, list[Element](), {root.path.resolve()}
         text = self._written(self._with_included(root))
         try:
             spec = mujoco.MjSpec.from_string(text)
             spec.modelfiledir = str(self._folder)
-            self._lighten(spec, mujoco)
+            self._lighten(spec, mujoco, drawn)
             with warnings.catch_warnings(record=True) as caught:
                 warnings.simplefilter("always")
                 self.model = spec.compile()
@@ -72,6 +99,7 @@ class Compiled:
             raise
         except ValueError as error:
             raise self._said(str(error)) from None
+        self.drawn = {geom.id: mesh for geom, mesh in drawn}
         self.warnings = [f"MuJoCo warns: {str(warning.message).strip()}" for warning in caught]
 
     def _with_included(self, element: Element, depth: int = 0) -> Element:
@@ -137,7 +165,7 @@ class Compiled:
         inside = [(len(name), element) for name, element in (*names, *self._opened.items()) if name and name in text]
         return max(inside, key=lambda pair: pair[0], default=(0, self._root))[1]
 
-    def _lighten(self, spec: Any, mujoco: Any) -> None:
+    def _lighten(self, spec: Any, mujoco: Any, drawn: list[tuple[Any, DrawnMesh]]) -> None:
         """Remove what does not affect the dynamics, so that its meshes need not exist."""
         for kind, elements in (
             ("sensors", spec.sensors),
@@ -155,7 +183,7 @@ class Compiled:
         self._delete(spec, "equalities of tendons", of_tendons)
         self._delete(spec, "tendons", spec.tendons)
         needed = set[str]()
-        self._without_shapes(spec, mujoco, spec.worldbody, False, needed)
+        self._without_shapes(spec, mujoco, spec.worldbody, False, needed, drawn)
         for mesh in list(spec.meshes):
             if mesh.name not in needed:
                 spec.delete(mesh)
@@ -171,19 +199,49 @@ class Compiled:
         for asset in [*spec.materials, *spec.textures, *spec.hfields]:
             spec.delete(asset)
 
-    def _without_shapes(self, spec: Any, mujoco: Any, body: Any, is_moving: bool, needed: set[str]) -> None:
-        """Remove geoms that refer to files, except those that determine the mass of a moving body."""
+    def _without_shapes(
+        self, spec: Any, mujoco: Any, body: Any, is_moving: bool, needed: set[str], drawn: list[tuple[Any, DrawnMesh]]
+    ) -> None:
+        """Remove geoms that refer to files, except those that determine the mass of a moving body.
+
+        A tiny sphere takes the place of a mesh that can be drawn, so that MuJoCo resolves its pose without its file.
+        """
         by_geoms = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+        first, last = spec.compiler.inertiagrouprange
         is_moving = is_moving or bool(body.joints)
         for geom in list(body.geoms):
             if geom.type != mujoco.mjtGeom.mjGEOM_HFIELD and not geom.meshname:
                 continue
-            if is_moving and (by_geoms or not body.explicitinertial):
+            has_mass = geom.mass != 0.0 and (not np.isnan(geom.mass) or geom.density != 0.0)
+            if is_moving and (by_geoms or not body.explicitinertial) and has_mass and first <= geom.group <= last:
                 needed.add(geom.meshname)
+            elif geom.type == mujoco.mjtGeom.mjGEOM_MESH and (mesh := self._drawn_mesh(spec, mujoco, geom.meshname)):
+                drawn.append((geom, mesh))
+                geom.type, geom.meshname, geom.mass, geom.size = mujoco.mjtGeom.mjGEOM_SPHERE, "", 0.0, [_TINY] * 3
             else:
                 self._delete(spec, "geoms of meshes and height fields", [geom])
         for child in body.bodies:
-            self._without_shapes(spec, mujoco, child, is_moving, needed)
+            self._without_shapes(spec, mujoco, child, is_moving, needed, drawn)
+
+    def _drawn_mesh(self, spec: Any, mujoco: Any, name: str) -> DrawnMesh | None:
+        """A mesh in a file that may be read, is there, and is in a format that can be drawn; else None."""
+        mesh = spec.mesh(name)
+        if mesh is None or Path(mesh.file).suffix.lower() not in _DRAWN:
+            return None
+        try:
+            path = self._inside(self._about(mesh.file), mesh.file, spec.meshdir or "")
+        except ModelError:
+            return None
+        # MuJoCo moves corners by -refpos, rotates them by the inverse of refquat and scales them, in this order.
+        scale, entries = np.array(mesh.scale), np.zeros(9)
+        mujoco.mju_quat2Mat(entries, np.array(mesh.refquat) / np.linalg.norm(mesh.refquat))
+        inverse = entries.reshape(3, 3).T
+        is_uniform = bool(np.all(scale == scale[0]))
+        if not path.is_file() or not (is_uniform or np.array_equal(inverse, np.eye(3))):
+            return None
+        offset = np.eye(4)
+        offset[:3, :3], offset[:3, 3] = inverse, -scale * (inverse @ np.array(mesh.refpos))
+        return DrawnMesh(path, (float(scale[0]), float(scale[1]), float(scale[2])), offset)
 
     def _delete(self, spec: Any, kind: str, elements: Any) -> None:
         deleted = list(elements)

@@ -23,6 +23,7 @@ from ..bodies import SpatialInertia
 from ..drives import Drive
 from ..joints import Fixed, Free, Joint, Planar, Prismatic, Revolute, Spherical
 from ..tree import Link
+from ..writers.written import UNLIMITED
 from .choices import Choices
 from .looks import UrdfLooks
 from .urdf_tree import UrdfTree
@@ -194,4 +195,6 @@ class Urdf:
         if lower > upper:
             self._remarks["lower above upper, which by convention stands for no limits, of joints"].append(name)
             return numbers
-        return numbers | {"lower": lower, "upper": upper}
+        # The largest number stands for no limit, see `to_urdf`.
+        bounds = {"lower": lower, "upper": upper}
+        return numbers | {what: bound for what, bound in bounds.items() if abs(bound) < UNLIMITED}

@@ -115,7 +115,7 @@ def _build_seconds(make: Callable[[], ScalarProgram]) -> float:
     tx.Native().runner.prepare(scalarize(lambda x: [jnp.sin(x)], jax.ShapeDtypeStruct((2,), float)), single=False)
     begin = time.perf_counter()
     if tx.Native().runner.prepare(program, single=False) is None:
-        raise RuntimeError("no kernel came of the program")
+        raise RuntimeError("the program has no kernel")
     return time.perf_counter() - begin
 
 

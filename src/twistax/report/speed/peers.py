@@ -41,7 +41,7 @@ def _openscvx(case: EvaluatedFunction, quantity: DerivativeKind) -> Task:
     from openscvx.symbolic.lower import lower_to_jax
 
     if case.chain is not None:
-        raise Lacks("its lowering writes a shared part out again at each use, so a recursion grows with each link")
+        raise Lacks("its lowering duplicates shared subexpressions, so a recursion grows with each link")
     p, q, V = ox.State("p", shape=(3,)), ox.State("q", shape=(4,)), ox.State("V", shape=(6,))
     F = ox.Control("F", shape=(6,))
     for leaf, place in ((p, slice(0, 3)), (q, slice(3, 7)), (V, slice(7, 13)), (F, slice(0, 6))):

@@ -245,7 +245,7 @@ def _top(duration: float, **options: Any) -> dict[str, Any]:
     start = {name: np.asarray(value, np.float32) for name, value in _TOP.start.items()}
     sol = simulated(_TOP.dynamics, start, t1=duration, **options)
     if any(value.dtype != jnp.float32 for value in sol.xs.values()):
-        raise TypeError("float32 went in, something else came out")
+        raise TypeError("float32 arguments, but another precision in the result")
     return {name: value[-1] for name, value in sol.xs.items()}
 
 

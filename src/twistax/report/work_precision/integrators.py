@@ -150,7 +150,7 @@ def _diffrax(
             return ravel_pytree(term.vector_field(t, unravel(y), (u, params)))[0]
 
         if not fits(lambda y: rate(jnp.zeros(()), y, None), start):
-            raise tx.ModelError(f"the right-hand provider of {scene.name} calls a library: no small call")
+            raise tx.ModelError(f"the rates of {scene.name} calls a library: no small call")
 
         def solve(y: jax.Array, tolerance: jax.Array) -> tuple[Any, Counts]:
             control = diffrax.PIDController(tolerance, tolerance, pcoeff=gains[0], icoeff=gains[1])

@@ -7,6 +7,7 @@ the entries of calls, loops and branches, and of functions with a derivative of 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ import numpy as np
 from ...jax_inside import Unread, all_equations, closed, expansion, scan_parts
 from ...progress import say_once
 from .arithmetic import CONTRACTION, ELEMENTWISE, LINEAR_ALGEBRA
-from .entry import Entry, moving
+from .entry import Entry, Read, moving
 from .interface import Nodes, Reader, each, flat, nodes
 from .movement import INDEXING, MOVEMENT
 from .norms import NORM
@@ -101,16 +102,33 @@ def _equations(jaxpr: Any) -> int:
     return sum(1 for _ in all_equations(jaxpr))
 
 
-def _program(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
-    """The scalars of a program of this package, for one batch member."""
-    return None if eqn.params["batch"].depth else reader.inlined(eqn.params["program"].program, arrays)
+def _of_one(read: Callable[[Reader, Any, Sequence[Nodes]], list[Nodes]]) -> Read:
+    """The scalars of a program of this package, for one batch member: a batch of one is one too."""
+
+    def scalars(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
+        depth, shared = eqn.params["batch"].depth, eqn.params["batch"].shared
+        if _members(eqn) != 1:
+            return None
+        alone = [a if k in shared else a.reshape(a.shape[depth:]) for k, a in enumerate(arrays)]
+        results = read(reader, eqn.params["program"].program, alone)
+        return [a.reshape((*[1] * depth, *a.shape)) for a in results]
+
+    return scalars
+
+
+_program = _of_one(lambda reader, program, arrays: reader.inlined(program, arrays))
+_function = _of_one(lambda reader, program, arrays: reader.read(program, arrays))
+
+
+def _members(eqn: Any) -> int:
+    """How many members the batch has."""
+    return math.prod(eqn.outvars[0].aval.shape[: eqn.params["batch"].depth])
 
 
 def _operations(eqn: Any) -> dict[str, int]:
     """Operations of all members of the batch."""
-    members = math.prod(eqn.outvars[0].aval.shape[: eqn.params["batch"].depth])
     counts: dict[str, int] = eqn.params["program"].program.counts()
-    return {name: members * count for name, count in counts.items()}
+    return {name: _members(eqn) * count for name, count in counts.items()}
 
 
 # ---- the entries -----------------------------------------------------------------------------------------------------
@@ -146,6 +164,13 @@ _CONTROL = [
     NORM,
     moving("scalar_program", _program, "program batch inside", moves=False, work=_operations),
     Entry("native_program", _program, "program batch inside", any_type=True, work=_operations),
+    moving(
+        "batched_function",
+        _function,
+        "program batch inside",
+        inside=lambda eqn: not eqn.params["batch"].depth,
+        repeats=_members,
+    ),
 ]
 
 #: By the name of the primitive.

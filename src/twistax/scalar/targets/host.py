@@ -31,7 +31,7 @@ def on_host(function: Callable[..., Result], *arguments: Any) -> Result | None:
         function: pure and traceable.
         arguments: pytrees of known numbers.
     Returns:
-        The result, with arrays of NumPy; None where the function has no form in scalars alone: it calls other
+        The result, with arrays of NumPy; None where the function has no scalar form alone: it calls other
         functions, has loops of unknown length, or is too large.
     """
     leaves, structure = jax.tree.flatten(arguments)

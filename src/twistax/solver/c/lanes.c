@@ -23,13 +23,13 @@ double *twx_maps_at(const twx_memory *t, size_t place, size_t block) {
 
 /* List the entries of a row that are not zero in some lane; how many there are. */
 static size_t list_entries(size_t count, const double *row, int32_t *list) {
-  size_t found = 0;
+  size_t used = 0;
   for (size_t i = 0; i < count; i++) {
     double any = 0;
     for (size_t l = 0; l < L; l++) any += fabs(row[i * L + l]);
-    if (any != 0) list[found++] = (int32_t)i;
+    if (any != 0) list[used++] = (int32_t)i;
   }
-  return found;
+  return used;
 }
 
 typedef struct { /* sum of a[i] b[i] over a list of i; strides in entries */

@@ -95,9 +95,9 @@ static void solve_member(const twx_form *form, const double *row, double *result
   problem.lower = v + n.variables, problem.upper = problem.lower + n.variables;
   problem.user = memory, problem.stop = is_stopped;
   twx_solve(&problem, &form->options, z, &solution, memory + used, &t);
-  const double found[TWX_MEASURES] = {t.cost, t.error, t.violation, t.stationarity, t.complementarity, t.minimum,
-                                      t.excess, t.worth, t.status, t.iterations};
-  memcpy(measures, found, sizeof found);
+  const double numbers[TWX_MEASURES] = {t.cost, t.error, t.violation, t.stationarity, t.complementarity, t.minimum,
+                                        t.excess, t.worth, t.status, t.iterations};
+  memcpy(measures, numbers, sizeof numbers);
 }
 
 static int32_t move_member(const twx_form *form, int64_t each, const double *row, double *sides, double *memory) {

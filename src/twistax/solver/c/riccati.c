@@ -236,14 +236,14 @@ static int32_t factorize_equalities(twx_work *w, int32_t negative) {
   twx_solve_diagonal_part(&parameters, ne, w->t1);
   twx_add_product_transposed(ne, ne, np, w->Z, np, w->t1, np, f.A, ne);
   for (int32_t i = 0; i < ne; i++) most = twx_max(most, fabs(f.A[i + (size_t)i * (size_t)ne]));
-  const int32_t found = twx_factorize_symmetric(&f);
-  if (found < 0) return -1;
+  const int32_t count = twx_factorize_symmetric(&f);
+  if (count < 0) return -1;
   for (int32_t i = 0; i < ne && w->border_softness == 0; i++) {
     if (f.block[i] != 1) continue;
     const double pivot = fabs(f.A[i + (size_t)i * (size_t)ne]);
     if (pivot <= least * f.added[i] || f.added[i] <= least * least * most) return -1;
   }
-  return found == negative;
+  return count == negative;
 }
 
 /* The border: Lp of its parameters, Z = Lp^-1 S_pe, and C of its equalities, after so many negative eigenvalues beyond

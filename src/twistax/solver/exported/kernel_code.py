@@ -39,17 +39,17 @@ class KernelCode:
         Args:
             what: for names and messages, such as "rate_slopes".
         Raises:
-            TrajectoryError: the function has no form in scalars.
+            TrajectoryError: the function has no scalar form.
         """
         if kernel.structure.run is None:
             return "{NULL, 0, {0}, NULL}"
         if kernel.written is None:
-            raise TrajectoryError(f"to_c: {what} has no form in scalars")
+            raise TrajectoryError(f"to_c: {what} has no scalar form")
         try:
             program, arguments, values = kernel.written()
         except (*REFUSALS, NotNative) as error:
             raise TrajectoryError(
-                f"to_c: {what} has no form in scalars: {error}\n"
+                f"to_c: {what} has no scalar form: {error}\n"
                 "  fix: write it with nodes, without functions of JAX that call a library or the host"
             ) from error
         name = f"kernel_{len(self.operations)}_{what}"

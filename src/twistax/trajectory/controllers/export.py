@@ -21,6 +21,7 @@ from ...system.export.c99 import check_name, write_files
 from ...system.export.c_code import mark
 from ..strategy.measure import COST
 from .barrier import BARRIER_LEAST, BARRIER_MOST, BARRIER_SHARE
+from .gains import GAINS_CURVATURE, GAINS_LEAST
 from .rehearsal import drawn_states, rehearsed
 
 _REAL = c_type(np.dtype(float))
@@ -95,8 +96,30 @@ class ControllerCode:
             "restoration": int(options.restoration_iterations),
             **self._work(),
             "prepare_arguments": "".join(f", const double *{_c(f'p_{name}')}" for name in self._params),
+            **self._arguments,
+            "state_tangents": self._tangents,
+            "side": self._side,
+            "gains_bytes": 8 * (sizes["variables"] + sizes["rows"] + self._tangents * self._side),
+        }
+
+    @property
+    def _tangents(self) -> int:
+        return int(self._staged.transcription.phases[0].n)
+
+    @property
+    def _side(self) -> int:
+        """Numbers of a right side of the linearised first-order conditions."""
+        solve = self._solve
+        return len(solve.v) + len(solve.lam) + len(solve.s) + len(solve.ye) + 1
+
+    @property
+    def _arguments(self) -> dict[str, str]:
+        """Arguments of functions in C, each after a comma."""
+        return {
             "state_arguments": self._state_arguments,
             "control_results": "".join(f", double *{_c(f'u_{name}')}" for name in self._controls),
+            "gain_results": "".join(f", double *{_c(f'k_{name}')}" for name in self._controls),
+            "gain_arguments": "".join(f", const double *{_c(f'k_{name}')}" for name in self._controls),
         }
 
     @property
@@ -153,8 +176,19 @@ class ControllerCode:
             "load": "\n".join(f"  memcpy(c->{name}, start_{name}, sizeof start_{name});" for name in loaded),
             "prepare": self._prepare(),
             "prepare_arguments": "".join(f", const double *{_c(f'p_{name}')}" for name in self._params),
-            "state_arguments": self._state_arguments,
-            "control_results": "".join(f", double *{_c(f'u_{name}')}" for name in self._controls),
+            **self._arguments,
+            "curvature": _REAL.literal(GAINS_CURVATURE),
+            "least_distance": _REAL.literal(GAINS_LEAST),
+            "write_gains": "\n".join(
+                f"    for (int j = 0; j < {part.stop - part.start}; j++) "
+                f"{_c(f'k_{name}')}[j * STATES + i] = m->sides[i][STATES + {part.start} + j];"
+                for name, (part, _) in self._controls.items()
+            ),
+            "write_corrected": "\n".join(
+                f"  corrected_control(c, {_c(f'k_{name}')}, step, {part.start}, {part.stop - part.start}, "
+                f"{_c(f'u_{name}')});"
+                for name, (part, _) in self._controls.items()
+            ),
             "read_state": "\n".join(
                 f"  memcpy(x + {places[0]}, {_c(f'x_{name}')}, sizeof(double) * {len(places)});"
                 for name, places in self._states

@@ -12,7 +12,9 @@ from ...solver.prepared import PreparedSolve
 from ..transcription.staged import Staged
 
 #: Distances from bounds below this, in units of their variables, are rounding.
-_LEAST = 1e-12
+GAINS_LEAST = 1e-12
+#: How much less on the diagonal leaves a plan a strict minimum.
+GAINS_CURVATURE = 1e-12
 
 
 class Gains:
@@ -27,7 +29,7 @@ class Gains:
         self._solve, self._units = solve, np.asarray(units.size)
         self._stages = staged.transcription.stages
         fixed = solve.lower == solve.upper
-        self._moves = Moves(staged.transcription, units, Options(curvature=1e-12), fixed, transposed=False)
+        self._moves = Moves(staged.transcription, units, Options(curvature=GAINS_CURVATURE), fixed, transposed=False)
 
     def __call__(self, n: int) -> Array:
         """(m, n) derivatives of the controls of the first interval by the tangents of the first node.
@@ -36,9 +38,9 @@ class Gains:
             TrajectoryError: the plan is no strict minimum, or has no finite derivatives.
         """
         solve, stages = self._solve, self._stages
-        least = _LEAST * self._units
+        least = GAINS_LEAST * self._units
         below, above = (np.maximum(a, least) for a in (solve.v - solve.lower, solve.upper - solve.v))
-        of_bounds, of_rows = solve.zl / below + solve.zu / above, solve.y / np.maximum(solve.s, _LEAST)
+        of_bounds, of_rows = solve.zl / below + solve.zu / above, solve.y / np.maximum(solve.s, GAINS_LEAST)
         row = np.concatenate([solve.z, solve.lam, solve.y, solve.ye, of_bounds, of_rows, np.ones(1)])
         sides = np.zeros((n, stages.variables + sum(stages.row_counts) + 1))
         sides[np.arange(n), np.arange(n)] = 1.0

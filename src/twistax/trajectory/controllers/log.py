@@ -18,11 +18,11 @@ class StepRecord:
     """One call of `Controller.feedback`.
 
     Attributes:
-        status: how its solve ended. SOLVED: the first-order conditions hold within the tolerance, on the mesh.
-        iterations: steps of the solver.
+        status: of its solve. SOLVED: the first-order conditions hold within the tolerance, on the mesh.
+        iterations: iterations of the solver.
         seconds: wall time of the call, s.
         cost: the objective of the plan.
-        violation: the largest violation of dynamics and constraints, in their sizes.
+        violation: the largest scaled violation of dynamics and constraints.
         error: of the first-order conditions, scaled.
     """
 
@@ -63,12 +63,12 @@ class ControllerLog:
 
     @property
     def statuses(self) -> list[Status]:
-        """How each solve ended."""
+        """The status of each solve."""
         return [record.status for record in self._last()]
 
     @property
     def iterations(self) -> Array:
-        """Steps of the solver in each call."""
+        """Iterations of the solver in each call."""
         return self._of("iterations")
 
     @property
@@ -83,7 +83,7 @@ class ControllerLog:
 
     @property
     def violations(self) -> Array:
-        """The largest violation of each plan, in sizes of what is violated."""
+        """The largest scaled violation of each plan."""
         return self._of("violation")
 
     @property

@@ -30,11 +30,12 @@ def rehearsed(controller: Any, states: Sequence[Mapping[str, Any]]) -> tuple[Arr
     kept, log, status = controller.prepared.saved(), controller.log, controller.status
     controller.log = ControllerLog(len(states))
     points, counts = [], []
-    for x in states:
-        controller.feedback(x)
-        points.append(controller.prepared.z.copy())
-        counts.append([controller.prepared.measure("iterations"), controller.prepared.measure("status")])
-        controller.shift()
+    with controller.constant_units():
+        for x in states:
+            controller.feedback(x)
+            points.append(controller.prepared.z.copy())
+            counts.append([controller.prepared.measure("iterations"), controller.prepared.measure("status")])
+            controller.shift()
     controller.prepared.load(kept)
     controller.log, controller.status = log, status
     iterations, statuses = np.array(counts, np.int32).T

@@ -43,6 +43,5 @@ def need_shiftable(problem: Any) -> None:
     (part,) = problem.parts
     if not part.mesh.is_even:
         raise TrajectoryError(
-            "shift: intervals of other lengths come later, so the plan cannot move on by one.\n"
-            "  fix: nodes at equal distances"
+            "shift: intervals have different lengths, so the plan cannot be shifted.\n  fix: nodes at equal distances"
         )

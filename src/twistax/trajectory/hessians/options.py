@@ -32,20 +32,20 @@ class Hessian(Protocol):
 class GaussNewton:
     r"""The Gauss-Newton Hessian of an objective that is a sum of squares.
 
-    An objective $J = \sum f r^T W r$ has the Hessian $2 \sum f R^T W R$ here, with R the first derivative of the
-    residual r by states, controls, times and free parameters. Second derivatives of residuals, of the dynamics and of
-    the constraints are left out: none is compiled. With weights of zero or more it has no negative curvature. The
-    optimum is the same; near it a search converges linearly, the faster the smaller residuals and multipliers are.
+    An objective $J = \sum f r^T W r$ has the approximate Hessian $2 \sum f R^T W R$, with R the first derivative of the
+    residual r with respect to states, controls, times and free parameters. Second derivatives of residuals, of the
+    dynamics and of the constraints are omitted and not compiled. With non-negative weights it has no negative
+    curvature. The optimum is the same; convergence is linear, and faster for smaller residuals and multipliers.
     Source: Nocedal and Wright, Numerical Optimization (2006), (10.23).
 
-    The squares are read from the expressions: `u**2`, `a @ a`, `a @ W @ a`, `w @ a**2`, `Norm(a)**2`,
-    `Sum(w * a**2)`, in sums and times factors that hold no state or control. Terms that are linear in states and
+    The squares are recognised in the expressions: `u**2`, `a @ a`, `a @ W @ a`, `w @ a**2`, `Norm(a)**2`,
+    `Sum(w * a**2)`, in sums and times factors without states or controls. Terms that are linear in states and
     controls have no second derivative.
 
     Example: `Problem(..., tx.Minimize(running=(x - r) @ W @ (x - r) + 0.1 * u**2), hessian=GaussNewton())`.
 
     Raises:
-        TrajectoryError: when the problem is made, an objective with another term.
+        TrajectoryError: when the problem is built, for an objective with another term.
     """
 
     by_updates: ClassVar[bool] = False
@@ -66,15 +66,15 @@ class GaussNewton:
 
 @dataclasses.dataclass(frozen=True)
 class QuasiNewton:
-    r"""Second derivatives from first ones: symmetric rank-one updates, of each stage alone.
+    r"""Second derivatives approximated from first ones: symmetric rank-one updates of each stage.
 
-    After each step of the search the second derivative of the Lagrangian by the state, the control, the times and the
-    free parameters of a stage is corrected so that it explains how first derivatives have changed. No second
-    derivative is compiled or evaluated: for rates that are large, or that call back to Python. A search takes more
-    steps, most of them two to six times as many.
+    After each step the Hessian of the Lagrangian of a stage, with respect to its state, control, times and
+    free parameters, is corrected to agree with the change of first derivatives. No second
+    derivative is compiled or evaluated: use it for large rates, or rates that call back to Python. A solve takes more
+    iterations, most of them two to six times as many.
 
-    The block B of a stage becomes $B + r r^T / (r^T s)$ with $r = y - B s$, for a step s of its unknowns, counted in
-    their units, and the change y of the gradient of its share of the Lagrangian. Both are about the node before the
+    The block B of a stage becomes $B + r r^T / (r^T s)$ with $r = y - B s$, for a scaled step s of its unknowns, and
+    the change y of the gradient of its part of the Lagrangian. Both are in coordinates about the node before the
     step.
     Source: Nocedal and Wright, Numerical Optimization (2006), (6.24).
 

@@ -26,16 +26,17 @@ class Held:
 class Spline:
     """A control that is a polynomial in time over each interval, continuous with all derivatives but the last.
 
-    Its values at nodes are unknowns, and so are its derivatives there; the last derivative is held. Where the optimal
-    control is smooth, the optimum of the mesh is off by the power 2 (degree + 1) of the intervals, if the transcription
-    is of that order. Boxes are asked at the ends of substeps; `solve(between=...)` holds them between these, too.
+    Its values and derivatives at nodes are unknowns; the last derivative is constant over each interval. Where the
+    optimal control is smooth, the error of the optimum is of order 2 (degree + 1) in the interval, if the transcription
+    is of that order. Bounds are imposed at the ends of substeps; `solve(between=...)` enforces them in between, too.
 
     Args:
         degree: of the polynomials, 2 or more; `Linear` is degree 1, `Held` degree 0.
-        rate: the largest magnitude of its rate, in its unit per s: a number or an array of its shape; None for none.
+        rate: the largest magnitude of its rate, in its unit per s: a number or an array of its shape; None for no
+            limit.
 
     Raises:
-        ModelError: a degree that is no whole number of 2 or more; a rate that is not positive.
+        ModelError: a degree that is not a whole number of 2 or more; a rate that is not positive.
     """
 
     degree: Any = 3
@@ -66,12 +67,13 @@ class Spline:
 class Linear(Spline):
     """A control that is continuous, and linear in time over each interval (a first-order hold).
 
-    Its values at nodes are unknowns; boxes hold at both ends of each interval, and so between them. Where the optimal
-    control is smooth the optimum of the mesh is off by the fourth power of the intervals, that of held controls by
-    the second.
+    Its values at nodes are unknowns; bounds hold at both ends of each interval, and so in between. Where the optimal
+    control is smooth the error of the optimum is of fourth order in the interval, and of second order with piecewise
+    constant controls.
 
     Args:
-        rate: the largest magnitude of its rate, in its unit per s: a number or an array of its shape; None for none.
+        rate: the largest magnitude of its rate, in its unit per s: a number or an array of its shape; None for no
+            limit.
 
     Raises:
         ModelError: a rate that is not positive.
@@ -83,11 +85,11 @@ class Linear(Spline):
 def Rate(control: Any) -> Control:
     """The rate of a continuous control, in its unit per s, for running costs and for constraints of the system.
 
-    `running=u**2 + 0.1 * tx.trajectory.Rate(u)**2`, `constraints={"slew": tx.trajectory.Rate(u) <= 3.0}`. Of a `Spline`
-    there are rates of rates, `Rate(Rate(u))`.
+    `running=u**2 + 0.1 * tx.trajectory.Rate(u)**2`, `constraints={"slew": tx.trajectory.Rate(u) <= 3.0}`. For a
+    `Spline` there are higher derivatives, `Rate(Rate(u))`.
 
     Raises:
-        ModelError: it is not given a control.
+        ModelError: the argument is not a control.
     """
     if not isinstance(control, Control):
         raise ModelError(f"Rate expects a control, got {short(control)}")

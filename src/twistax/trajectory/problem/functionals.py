@@ -45,7 +45,7 @@ class Functional(Leaf):
 
     def check_in_system(self) -> NoReturn:
         raise ModelError(
-            f"{self!r} is a value of a whole path, which nothing knows here.\n"
+            f"{self!r} is a functional of a whole path, which is not defined here.\n"
             "  fix: use it in the objective or final= of a tx.trajectory.Problem"
         )
 
@@ -113,7 +113,7 @@ class Initial(Functional):
 
     In problems of phases it is the start of the first phase, which must have the state. Shape: that of the state.
 
-    Raises: ModelError if it is not given a state.
+    Raises: ModelError if the argument is not a state.
     """
 
     operand: State

@@ -23,14 +23,14 @@ class Phase:
 
     Args:
         dynamics: a compiled system.
-        objective: what the phase adds to the objective: at its end, where `tx.Time()` is the time since the beginning
-            of the first phase, and along it. None adds nothing.
-        nodes: number of state nodes, or where they lie, as for a `Problem`.
-        final_time: how long the phase takes, a number in s, or limits (low, high) to leave it free.
-        initial, final, at: as for a `Problem`. After the first phase, values in `initial` stand in place of what the
-            phase before left.
+        objective: the contribution of the phase to the objective: at its end, where `tx.Time()` is the time since the
+            beginning of the first phase, and along it. None adds nothing.
+        nodes: number of state nodes, or their positions, as for a `Problem`.
+        final_time: the duration of the phase, a number in s, or limits (low, high) to leave it free.
+        initial, final, at: as for a `Problem`. After the first phase, values in `initial` replace the link of these
+            states.
         by_node, controls, guess, final_time_guess, transcription, method, substeps, hessian: as for a `Problem`.
-        name: what results and messages call it; "phase 0", "phase 1", ... unless given.
+        name: its name in results and messages; "phase 0", "phase 1", ... by default.
     """
 
     dynamics: Dynamics

@@ -49,50 +49,49 @@ _ELSEWHERE = {"tx.trajectory.Problem": lambda: Problem.__init__}
 class Problem:
     """Find controls, states and final time that optimise an objective under a system's constraints.
 
-    minimise J subject to $x' = f(t, x, u)$, the system's constraints and the boxes of its leaves along the path,
-    conditions at both ends, and limits of the final time. Controls are held over each of nodes - 1 intervals.
-    Constraints on states are asked at the nodes and at the ends of the substeps between them.
+    minimise J subject to $x' = f(t, x, u)$, the system's constraints and the bounds of its leaves along the path,
+    conditions at both ends, and limits of the final time. By default controls are constant over each of nodes - 1
+    intervals. Constraints on states are imposed at the nodes and at the ends of the substeps between them.
 
     The problem is always solved in double precision, whatever the global setting.
 
     Args:
-        dynamics: a compiled system; or a list of `Phase` in order, with `links`, `params` and `free` alone beside it.
-            States of the same name and kind then go on unchanged from phase to phase, time goes on, objectives are
-            added, and parameters of the same name are the same in all phases.
+        dynamics: a compiled system; or a list of `Phase` in order, with only `links`, `params` and `free` as further
+            arguments. States of the same name and kind then continue from phase to phase, time continues, objectives
+            are added, and parameters of the same name are the same in all phases.
         objective: `tx.Minimize(...)` or `tx.Maximize(...)`.
-        links: of phases, for every join, one fewer than phases, a dict from states of the next phase to expressions of
-            the last states of the phase before and of parameters, or None to leave a state free; None for a join
-            without any.
-        nodes: number of state nodes, two or more, at equal distances; or where they lie, as an increasing sequence of
-            shares of the final time from 0 to 1; or a `tx.trajectory.Mesh`, whose intervals may be free.
+        links: of phases, for every transition, one fewer than phases, a dict from states of the next phase to
+            expressions of the last states of the previous phase and of parameters, or None to leave a state free; None
+            for a transition without changes.
+        nodes: number of state nodes, two or more, at equal distances; or their positions, as an increasing sequence of
+            fractions of the final time from 0 to 1; or a `tx.trajectory.Mesh`, whose intervals may be free.
         final_time: a number in s, or limits (low, high) to leave it free.
-        initial, final: values by state or name, on top of the leaves' own, or constraints on the first or last node
-            such as `g[:3, 3] == 0`, or a list of both. NaN or None entries of values are free; of a pose the whole
-            position or the whole attitude may be.
+        initial, final: values by state or name, which override those of leaves, or constraints on the first or last
+            node such as `g[:3, 3] == 0`, or a list of both. NaN or None entries of values are free; of a pose the whole
+            position or the whole attitude may be free.
         at: constraints at inner nodes by the number of the node, 1 to nodes - 2, each one or a list.
-        params: values of the parameters by leaf or name, the objective's too; those left out take their own.
-        free: parameters, by leaf or name, that the optimiser may move, each with limits (low, high), numbers or arrays
-            of its shape; None or an infinity leaves a side open. A list of parameters leaves all sides open.
+        params: values of the parameters by leaf or name, including those of the objective; the default is their value.
+        free: parameters, by leaf or name, that are unknowns, each with limits (low, high), numbers or arrays
+            of its shape; None or an infinity is no limit. A list of parameters has no limits.
         by_node: a list of parameters of the objective, references and weights, whose values in `params` have a row for
-            each node, or are one for all. They are linear in time between nodes; the final cost reads the last row.
-        controls: how controls go on between nodes, `tx.trajectory.Held()` (if left out), `tx.trajectory.Linear()` or
-            `tx.trajectory.Spline(degree)`, for all of them, or a dict by leaf or name.
-        guess: values by leaf or name, on top of the leaves' own: one, or one for each node (states, continuous
-            controls) or interval (held controls). A free parameter starts here, else at its value, or at the point of
-            its box nearest to that.
-        final_time_guess: where a free final time starts; unless given the middle of its limits, or where the upper is
-            more than a hundred times the lower the middle of their logarithms.
-        transcription: how an interval is integrated, in exponential coordinates about its first node:
+            each node, or one for all. They are linear in time between nodes; the final cost uses the last row.
+        controls: the interpolation of controls between nodes, `tx.trajectory.Held()` (the default),
+            `tx.trajectory.Linear()` or `tx.trajectory.Spline(degree)`, for all of them, or a dict by leaf or name.
+        guess: values by leaf or name, which override those of leaves: one, or one for each node (states, continuous
+            controls) or interval (piecewise constant controls). The default for a free parameter is its value, or the
+            nearest point within its limits.
+        final_time_guess: the guess of a free final time; by default the middle of its limits, or their geometric mean
+            where the upper one is more than a hundred times the lower.
+        transcription: the integration of an interval, in exponential coordinates about its first node:
             `tx.trajectory.MultipleShooting(method, substeps)` or `tx.trajectory.Collocation(tableau)`.
-        method, substeps: those of multiple shooting in place of it: an RKMK method with an explicit tableau, RK4 if
-            left out, and its steps in an interval, 2 if left out.
+        method, substeps: those of multiple shooting in place of `transcription`: an RKMK method with an explicit
+            tableau, RK4 by default, and the number of its steps in an interval, 2 by default.
         hessian: second derivatives other than exact ones: `tx.trajectory.GaussNewton()` or
             `tx.trajectory.QuasiNewton()`.
-
     Raises:
-        ModelError: unknown names or values without meaning; of phases all errors have the phase's name in front.
+        ModelError: unknown names or invalid values; for phases all messages begin with the name of the phase.
         ShapeError: a wrong shape.
-        TrajectoryError: nodes, times or end values that cannot be.
+        TrajectoryError: impossible nodes, times or end values.
         InputError: parameters without a value.
     """
 
@@ -203,7 +202,7 @@ class Problem:
         self._implicit: Problem | None = None
 
     def errors_of(self, name: str) -> contextlib.AbstractContextManager[None]:
-        """A context in which errors get the name of the phase in front."""
+        """A context in which messages of errors begin with the name of the phase."""
         return contextlib.nullcontext() if self.alone else in_phase(name)
 
     def __repr__(self) -> str:
@@ -242,7 +241,7 @@ class Problem:
 
     @property
     def implicit(self) -> Problem:
-        """The same problem by implicit steps."""
+        """The same problem with implicit steps."""
         if self._implicit is None:
             other = {"transcription": IMPLICIT, "method": None, "substeps": None}
             self._implicit = self.with_phases([other] * len(self.parts))
@@ -256,7 +255,7 @@ class Problem:
         return {self.shooting.named(segment, row) for segment, part in pairs for row in part.soft}
 
     def started(self, *arguments: Any, **named: Any) -> Started:
-        """The start and the data of a solve with these arguments; see `start.started`."""
+        """The initial point and the data of a solve with these arguments; see `start.started`."""
         return started(self, *arguments, **named)
 
     # ---- solving ----------------------------------------------------------------------------------------------------
@@ -289,15 +288,15 @@ class Problem:
         """Optimise from one guess or from several, and return the best result.
 
         The first call compiles, later calls do not. A problem that differs from an earlier one only in numbers or nodes
-        does not compile again either: numbers in expressions are arguments of the compiled functions. A change of
-        structure compiles again: a zero, a factor of one, an exponent or a table. Threads may share a problem.
+        does not recompile either: numbers in expressions are arguments of the compiled functions. A change of
+        structure recompiles: a zero, a factor of one, an exponent or a table. Threads may share a problem.
 
         If explicit steps are unstable and the solve finds no optimum, the problem is solved by collocation with Radau
-        IIA of order 5, and the message says so; `result.problem` is the problem that was solved. Use a warm start from
-        such a result for that problem.
+        IIA of order 5, and the message states it; `result.problem` is the problem that was solved. Use a warm start
+        from such a result for that problem.
 
         For a problem of phases the result is a `PhasedResult`. Then guess, initial, final, final_time and
-        final_time_guess are dicts from names of phases to the values described here; phases that are left out keep
+        final_time_guess are dicts from names of phases to the values described here; omitted phases keep
         their values.
 
         Args:
@@ -315,33 +314,32 @@ class Problem:
                 for free tangents of states, final times and parameters, and 0.15 for controls, but at most a sixth of
                 the distance of limits. They are halved until the defects of the dynamics are at most thirty times their
                 scale, and thirty times the defects of the guess.
-            callback: called with (iteration, cost, violation) before each step. If it returns True the search ends with
-                status STOPPED, and the result is the iterate with the smallest error. `IPOPT` and `Fatrop` ignore what
-                it returns.
+            callback: called with (iteration, cost, violation) before each iteration. If it returns True the solve ends
+                with status STOPPED, and the result is the iterate with the smallest error. `IPOPT` and `Fatrop` ignore
+                the return value.
             progress: True prints a line for each iteration (cost, violation, step), False nothing; a `Progress` formats
-                the cost. Left out, lines come after two seconds, on a terminal, unless there is a callback.
+                the cost. By default lines appear after two seconds, on a terminal, unless there is a callback.
             max_iterations: the most iterations of a try.
-            max_seconds: wall time after which the search ends with status OUT_OF_TIME and the same kind of iterate; the
-                check of the mesh comes after it. `IPOPT` and `Fatrop` have their own limit.
+            max_seconds: wall time after which the solve ends with status OUT_OF_TIME and the iterate of the smallest
+                error; the mesh check follows. `IPOPT` and `Fatrop` have their own limit.
             tolerance: of the scaled first-order conditions.
             solver: another solver, `tx.trajectory.IPOPT()` or `tx.trajectory.Fatrop()`; by default the interior-point
                 method of this package.
-            between: how far a dense rollout may violate path constraints, in their scales, such as 1e-6. Where it
-                violates them they are tightened, and the problem is solved again with a warm start.
-            mesh_tolerance: the largest error of the mesh for status SOLVED; beyond it the status is COARSE. Each
-                interval, integrated accurately from its planned start, ends within this of its planned end, in scales
-                of the states, and the relative error of the objective is at most this: see `result.accuracy`. An
-                infinite one accepts any mesh.
-            refine: refine the mesh until each interval, integrated accurately from its planned start, ends within this
-                of its planned end, in scales of the states, and the relative change of the objective from mesh to mesh
-                is at most this, such as 1e-6. The result is that of the last mesh, `result.problem`; `result.meshes`
+            between: the largest violation of path constraints along a dense rollout, in their scales, such as 1e-6.
+                Where it is exceeded the constraints are tightened, and the problem is solved again with a warm start.
+            mesh_tolerance: the largest mesh error for status SOLVED; above it the status is COARSE. The mesh error is
+                the distance between the end of an interval, integrated accurately from its first node, and the next
+                node, in
+                scales of the states, and the relative error of the objective: see `result.accuracy`. An
+                infinite tolerance accepts any mesh.
+            refine: refine the mesh until its error, as above, and the relative change of the objective between meshes
+                are at most this, such as 1e-6. The result is that of the last mesh, `result.problem`; `result.meshes`
                 has all of them. The status is COARSE where a thousand nodes are not enough.
-            strategies: what may be done besides the interior-point method, members of `Strategy`; an empty tuple uses
-                the method alone. Other solvers have strategies of their own.
-
+            strategies: additional strategies besides the interior-point method, members of `Strategy`; an empty tuple
+                uses the method alone. Other solvers have their own strategies.
         Raises:
-            ModelError, ShapeError, InputError: a guess, an end or a parameter that does not fit.
-            TrajectoryError: other entries fixed, times or numbers without meaning; limits of a parameter that is not
+            ModelError, ShapeError, InputError: an invalid guess, end or parameter.
+            TrajectoryError: other fixed entries, invalid times or numbers; limits of a parameter that is not
                 free, or on other sides; a warm start of another problem, or together with a guess.
         """
         arguments = {name: value for name, value in locals().items() if name != "self"}
@@ -363,15 +361,15 @@ class Problem:
     ) -> TrajectoryResults:
         """Solve many cases in one call, each as `solve` does; the failure of one case does not affect the others.
 
-        Arguments are those of `solve`. Values with one more axis in front are one for each case; the others are shared.
-        A guess with an axis of cases has one of nodes or intervals too. As many cases run at a time as there are
+        Arguments are those of `solve`. Values with an additional leading axis are one for each case; the others are
+        shared. A guess with an axis of cases has one of nodes or intervals too. Cases run in parallel on all
         processors.
 
         Raises:
             ShapeError: arguments for different numbers of cases.
             TrajectoryError: no argument has an axis of cases.
-            TwistaxError: as `solve` does, where no case fits the problem. A case that does not fit beside others that
-                do has status REFUSED, and its message begins with its number.
+            TwistaxError: as `solve` does, where all cases are invalid. A single invalid case has status REFUSED, and
+                its message begins with its number.
         """
         arguments = {"guess": guess, "initial": initial, "final": final, "params": params, "final_time": final_time}
         options = SolveOptions(max_iterations=max_iterations, tolerance=tolerance, mesh_tolerance=mesh_tolerance)

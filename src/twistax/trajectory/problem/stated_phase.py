@@ -29,7 +29,7 @@ from .conditions import Conditions, Ends, at_nodes, conditions, ends_of, split, 
 from .controls import continuous_controls
 from .guess import control_guess, state_guess, user_guess
 from .phase import Phase
-from .statement import Objective, check_leaves, describe_path
+from .statement import Objective, check_leaves, check_limits, describe_path
 
 
 class StatedPhase:
@@ -68,6 +68,7 @@ class StatedPhase:
         inner = at_nodes(phase.at, self.nodes)
         self._bridge(objective, {0: at_first, self.nodes - 1: at_last, **inner}, within)
         dynamics = self.dynamics
+        check_limits(dynamics.states)
         for place, expr in (("the objective", self.objective.final), ("the running cost", self.objective.running)):
             if expr is not None:
                 check_leaves(dynamics, place, expr, controls=expr is self.objective.running)

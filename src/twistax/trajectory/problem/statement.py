@@ -258,6 +258,19 @@ def bounds_of(leaves: Sequence[State | Control]) -> list[Bound]:
     return bounds
 
 
+def check_limits(states: Iterable[State]) -> None:
+    """Raise ModelError for a state with equal limits, which leave a barrier no room; controls may have them."""
+    for state in states:
+        if state.min is None or state.max is None:
+            continue
+        for entry, low, high in zip(entry_names(state.name, state.shape), state.min.ravel(), state.max.ravel()):
+            if low == high:
+                raise ModelError(
+                    f"{entry!r} has equal limits: min and max are {low:g}, so nothing can move it.\n"
+                    "  fix: put the number in its place, or ask it by an equality, in constraints= or final="
+                )
+
+
 def violations(rows: Array, equality: Array) -> Array:
     """The violations of rows, zero where they hold."""
     return np.where(equality, np.abs(rows), np.maximum(rows, 0.0))

@@ -95,9 +95,11 @@ def bound_row(size: Expr, s: Expr) -> Expr:
 def norm_bound(row: Expr) -> tuple[str, float] | None:
     """The name of the s in a row |a|^2 / (c s) - c s, as `bound_row` makes it, and c; None of any other row."""
     terms = linear_terms(row)
-    if len(terms) != 2 or not isinstance(terms[0][1], Div) or not isinstance(terms[1][1], (State, Control)):
+    if len(terms) != 2:
         return None
     (factor, quotient), (negative, s) = terms
+    if not isinstance(quotient, Div) or not isinstance(s, (State, Control)):
+        return None
     below = linear_terms(quotient.children()[1])
     if factor <= 0.0 or len(below) != 1 or below[0][0] != -negative or below[0][1].key() != s.key() or s.shape != ():
         return None

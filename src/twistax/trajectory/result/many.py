@@ -20,12 +20,12 @@ from .result import TrajectoryResult, best_result
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class TrajectoryResults(Sequence[TrajectoryResult]):
-    """The results of many cases: arrays with a leading axis, and by number a result each.
+    """The results of many cases: arrays with a leading axis, and by index the result of one case.
 
     Attributes:
         status: of every case.
         final_time, cost, violation, iterations: (cases,).
-        params: by name, (cases, ...), the parameters that were found among them.
+        params: by name, (cases, ...), including optimal free parameters.
         optimality: the numbers of an `Optimality` by name, (cases,) each.
         compile_seconds, solve_seconds: wall time.
         xs: states by name, (cases, nodes, ...); of phases by the name of the phase, too.

@@ -39,16 +39,16 @@ _FINER = "solve(refine=1e-4), more nodes or substeps, for stiff rates Collocatio
 class Optimality:
     """How far a trajectory is from the first-order (KKT) conditions of an optimum, in scaled form.
 
-    The unit of an unknown is how far it moves along the trajectory; that of the objective is how much these moves
-    change it.
+    The scale of an unknown is its change along the trajectory; that of the objective is its change with these
+    changes.
 
     Attributes:
         stationarity: largest entry of the gradient of the Lagrangian.
         feasibility: largest residual of the dynamics or of a constraint.
         complementarity: largest product of a slack and its multiplier.
-        gap: how much the objective can still change: the sum of |multiplier times slack or residual|.
-        excess: estimate of the objective less that of the minimum nearby, relative to the objective: what a Newton step
-            without a barrier gains. No unit changes it. NaN where it is not known.
+        gap: a first-order bound on the error of the objective: the sum of |multiplier times slack or residual|.
+        excess: estimate of the objective minus that of the minimum nearby, relative to the objective: the decrease by a
+            Newton step without a barrier. It does not depend on units. NaN where it is not known.
     """
 
     stationarity: float
@@ -113,16 +113,16 @@ class Quality:
 
     @property
     def soft(self) -> dict[str, float]:
-        """Name of a soft constraint, entry by entry -> its largest violation at the nodes, in its own unit."""
+        """Name of a soft constraint, entry by entry -> its largest violation at the nodes, in its unit."""
         return {name: size for name, size in self.violations.items() if name in self.problem.soft}
 
     @functools.cached_property
     def undetermined(self) -> dict[str, Array]:
-        """Controls that the optimum does not determine: name of an entry -> (intervals,) the share, 0 to 1, of a change
-        of it that has no effect.
+        """Controls that the optimum does not determine: name of an entry -> (intervals,) the fraction, 0 to 1, of a
+        change of it that has no effect.
 
-        Those of a solution whose optimum leaves them open: constraints hold and the objective stays as it is, to second
-        order, along moves of them. Empty where the status is not SOLVED, and where the Hessian is not exact.
+        A change has no effect if constraints remain satisfied and the objective is constant, to second
+        order. Empty where the status is not SOLVED, and where the Hessian is not exact.
         """
         return {entry.name: entry.free_share for entry in self._undetermined}
 
@@ -137,23 +137,25 @@ class Quality:
             return undetermined(staged, warm, instance, [part.continuous.derivatives for part in problem.parts])
 
     def explain(self) -> str:
-        """The quality as text, one fact a line: errors, active constraints, undetermined controls, a finer rollout."""
+        """A summary as text, one fact on each line: errors, active constraints, undetermined controls, a finer
+        rollout.
+        """
         return _explained(self, self._undetermined)
 
     def shifted(self, steps: int = 1) -> WarmStart:
-        """A start for `solve(warm=...)` that is so many intervals later, as a receding horizon needs it.
+        """A warm start for `solve(warm=...)` that is shifted by `steps` intervals, for a receding horizon.
 
-        Controls, states and multipliers move on. The last control is held, and the states are rolled out.
+        Controls, states and multipliers are shifted. The last control is repeated, and the states are integrated.
 
         Raises:
-            TrajectoryError: steps is no positive whole number; intervals are not equally long; several phases.
+            TrajectoryError: steps is not a positive whole number; intervals are not equally long; several phases.
         """
         return self.warm.shifted(steps)
 
     def _need_finite(self) -> None:
         """Raise TrajectoryError where the solution is not finite: there is no rollout of it."""
         if not np.isfinite(list(self.violations.values())).all():
-            raise TrajectoryError(f"there is no rollout of a point that is not finite. {self.message}")
+            raise TrajectoryError(f"a point that is not finite has no rollout. {self.message}")
 
     def __repr__(self) -> str:
         return (

@@ -38,11 +38,11 @@ class Meshed:
     """One mesh of a mesh refinement, and the solve on it.
 
     Attributes:
-        nodes, substeps: the nodes of all phases, and the most substeps that an interval has.
+        nodes, substeps: the nodes of all phases, and the largest number of substeps of an interval.
         error: the largest integration error of an interval, in scales of the states.
         cost: the objective as stated.
         status: of its solve.
-        seconds: wall time, with compiling.
+        seconds: wall time, including compile time.
     """
 
     nodes: int

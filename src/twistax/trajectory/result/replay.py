@@ -55,7 +55,7 @@ def replayed(result: Any, method: Any, steps: int, rtol: float, atol: float) -> 
     back = np.flatnonzero(np.diff(result.ts) < 0.0)
     if back.size:
         raise TrajectoryError(
-            f"node {back[0] + 1} is before node {back[0]}, at {result.ts[back[0] + 1]:g} s, and time goes on.\n"
+            f"node {back[0] + 1} is before node {back[0]}, at {result.ts[back[0] + 1]:g} s, and time must increase.\n"
             "  fix: solve until the limits of free node times hold"
         )
     if method is None and result.solve is not None:
@@ -75,7 +75,7 @@ def _need_finite(result: Any) -> None:
         if wrong.size:
             raise TrajectoryError(
                 f"{name!r} is not finite at node {wrong[0]}, so nothing can be rolled out from there.\n"
-                "  fix: limits on states where the rates make sense, or another guess"
+                "  fix: limits on states where the rates are defined, or another guess"
             )
 
 
@@ -164,7 +164,7 @@ def _rollout_ambient(result: Any, solver: Any, steps: int, rtol: float, atol: fl
     xs, good = rollout(start, jnp.asarray(result.ts), jax.tree.map(jnp.asarray, held_of(result)))
     if not bool(good.all()):
         number = int(np.argmin(np.asarray(good)))
-        raise IntegrationError(f"the solver gave up between nodes {number} and {number + 1} of the replay")
+        raise IntegrationError(f"the solver failed between nodes {number} and {number + 1} of the replay")
     return {name: np.asarray(values) for name, values in xs.items()}
 
 

@@ -28,14 +28,14 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class TrajectoryResult(Quality):
-    """The result of a solve: the trajectories, and how well they satisfy the problem. See `Quality` for its other
+    """The result of a solve: the trajectories, and their quality. See `Quality` for its other
     attributes.
 
     For a problem without a list of phases, `xs`, `us`, `ts`, `controls`, `integrals` and `extremes` are those of its
     only trajectory; see `Trajectory`.
 
     Attributes:
-        phases: the trajectory of each phase; times go on from phase to phase.
+        phases: the trajectory of each phase; times continue from phase to phase.
         durations: duration of each phase, s.
         meshes: of `solve(refine=...)`: a `Meshed` for each mesh.
     """
@@ -57,7 +57,7 @@ class TrajectoryResult(Quality):
 
     @property
     def us(self) -> dict[str, Array]:
-        """Controls by name, leading axis the intervals for held ones, the nodes for continuous ones."""
+        """Controls by name, leading axis the intervals for piecewise constant ones, the nodes for continuous ones."""
         return self._trajectory.us
 
     @property
@@ -84,35 +84,37 @@ class TrajectoryResult(Quality):
 
     @property
     def dense(self) -> Replay:
-        """`replay()`, rolled out once."""
+        """The result of `replay()`, computed once."""
         self._need_finite()
         return self._trajectory.dense
 
     @functools.cached_property
     def between_nodes(self) -> dict[str, float]:
-        """Name of a path constraint or box -> its largest violation along a dense rollout, in its own unit."""
+        """Name of a path constraint or bound -> its largest violation along a dense rollout, in its unit."""
         return self._by_phase("between_nodes")
 
     @functools.cached_property
     def mesh_error(self) -> dict[str, dict[str, float]]:
-        """State name -> how far a rollout of its phase, in ten times as many steps, ends from the planned node."""
+        """State name -> distance between the end of a rollout of its phase, in ten times as many steps, and the last
+        node.
+        """
         return self._by_phase("mesh_error")
 
     def replay(self, method: Any = None, steps: int = 20, *, rtol: float = 1e-10, atol: float = 1e-10) -> Replay:
-        """As `Trajectory.replay`. Raises TrajectoryError, too, where values of the problem are not finite there."""
+        """As `Trajectory.replay`. Also raises TrajectoryError where values of the problem are not finite there."""
         self._need_finite()
         return self._trajectory.replay(method, steps, rtol=rtol, atol=atol)
 
     def plot(self, *names: Any, units: Mapping[str, str] | None = None) -> Any:
-        """As `Trajectory.plot`, all phases in one figure, with the multipliers of what is active."""
+        """As `Trajectory.plot`, with all phases in one figure and the multipliers of active constraints."""
         return drawn(self.phases, names, units, self.message, {name: self.multipliers[name] for name in self.active})
 
     def show(self, path: Any = None, **choices: Any) -> Scene:
-        """As `Trajectory.show`; phases one after the other, with the states and controls that all of them have."""
+        """As `Trajectory.show`; phases in succession, with the states and controls that all of them have."""
         return animated(self.phases, path, choices)
 
     def video(self, path: Any, *, size: tuple[int, int] = (1280, 720), **choices: Any) -> Path:
-        """A film of what `show` draws; see `Trajectory.video`."""
+        """A video of what `show` draws; see `Trajectory.video`."""
         return self.show(opened=False, **choices).video(path, size=size)
 
     def _by_phase(self, attribute: str) -> dict[str, Any]:
@@ -124,10 +126,10 @@ class TrajectoryResult(Quality):
 
 
 class PhasedResult(TrajectoryResult):
-    """The result of a problem that was stated as a list of phases: `phases`, `durations`.
+    """The result of a problem with a list of phases: `phases`, and their `durations` in s.
 
-    `result.phases[0].xs["v"]` has the shape (nodes, ...), as in a `Trajectory`. Names have the phase's in front. The
-    multipliers of the join before a phase are "join before <phase>: <state>".
+    `result.phases[0].xs["v"]` has the shape (nodes, ...), as in a `Trajectory`. Names begin with that of the phase. The
+    multipliers of the link before a phase are "join before <phase>: <state>".
     """
 
     def replay(self, method: Any = None, steps: int = 20, **options: Any) -> Any:

@@ -30,7 +30,7 @@ _ROUNDING = 100.0
 class Solution(NamedTuple):
     """An optimum as JAX arrays: objective as stated, states and controls by name, final time, free parameters.
 
-    `solved` is 1 where it is one. Else it is 0, the arrays are where the search ended, and derivatives are NaN.
+    `solved` is 1 for an optimum. Otherwise it is 0, the arrays are the last iterate, and derivatives are NaN.
     """
 
     cost: jax.Array
@@ -59,32 +59,32 @@ def solution(
     max_iterations: int = 1000,
     mesh_tolerance: float = MESH,
 ) -> Callable[..., Solution]:
-    """The optimum as a function of parameters and ends that JAX differentiates.
+    """The optimum as a function of parameters and ends, which JAX can differentiate.
 
-    `f = tx.trajectory.solution(problem)`, then `f(params=..., initial=..., final=..., final_time=...)` takes what
-    `problem.solve` does, all optional, and gives a `Solution`. `jax.grad`, `jax.jacfwd`, `jax.jacrev`, `jax.vmap` and
-    `jax.jit` apply. A fixed final time is an argument as well. Derivatives by poses and rotations are by the entries of
-    their matrices, to be used along curves on the group, as `group.retract` makes them.
+    `f = tx.trajectory.solution(problem)`; `f(params=..., initial=..., final=..., final_time=...)` takes the arguments
+    of `problem.solve`, all optional, and returns a `Solution`. `jax.grad`, `jax.jacfwd`, `jax.jacrev`, `jax.vmap` and
+    `jax.jit` apply. A fixed final time is an argument as well. Derivatives with respect to poses and rotations are
+    those of the entries of their matrices, for curves on the group, as `group.retract` makes them.
 
-    The first call solves the problem as it was stated, with `problem.solve`. Every call then is one call of the
-    solver's core, which starts at that optimum, in its units, and computes in double precision whatever
-    `jax_enable_x64` says. In programs of `jit` and `vmap` it is one operation, and threads of XLA share the members of
-    a batch. Outside of these the mesh is checked as in `problem.solve`, and where the core alone finds no optimum
-    `problem.solve` searches.
+    The first call solves the problem as stated, with `problem.solve`. Every later call is one call of the
+    solver's core, which starts at that optimum, in its scales, and computes in double precision whatever
+    `jax_enable_x64` is. Inside `jit` and `vmap` it is one operation, and threads of XLA share the members of
+    a batch. Outside of these the mesh is checked as in `problem.solve`, and where the core finds no optimum
+    `problem.solve` is called.
 
-    The objective has a derivative wherever the optimum is regular; the trajectory where no limit is about to become
-    active or inactive (strict complementarity), and where it is a strict minimum.
+    The objective is differentiable wherever the optimum is regular. The trajectory is differentiable at a strict
+    minimum where the set of active limits does not change (strict complementarity).
 
     Args:
-        guess, warm: for the problem as it was stated, as in `problem.solve`.
-        max_iterations, mesh_tolerance: likewise. Under `jit` and `vmap` the mesh is that of the problem as it was
+        guess, warm: for the problem as stated, as in `problem.solve`.
+        max_iterations, mesh_tolerance: likewise. Under `jit` and `vmap` the mesh is that of the problem as
             stated, which is checked once.
-        tolerance: likewise; derivatives are no more exact than the solution.
+        tolerance: likewise; derivatives are no more accurate than the solution.
 
     Raises:
-        TrajectoryError: a problem of phases; when called: the problem was not solved, or what was found is no strict
-            minimum and is to be differentiated. Under `jit` and `vmap` `solved` is 0, or derivatives are NaN; there the
-            error is of functions without a native form, as those with host callbacks.
+        TrajectoryError: a problem of phases; when called: the problem was not solved, or a derivative at a result that
+            is not a strict minimum. Under `jit` and `vmap` `solved` is 0, or derivatives are NaN; an error is raised
+            there for functions without a native form, such as those with host callbacks.
     """
     if not getattr(problem, "alone", False):
         phases = len(getattr(problem, "parts", ()))

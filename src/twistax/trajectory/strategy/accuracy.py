@@ -30,26 +30,26 @@ class Exceeded:
 
 @dataclasses.dataclass(frozen=True)
 class Accuracy:
-    r"""How closely a result follows the differential equations, by a close integration of each interval.
+    r"""The mesh error of a result, from an accurate integration of each interval.
 
-    Interval k, integrated from its planned start, ends a tangent $g_k$ from its planned end. With costates $y_k$ the
+    Interval k, integrated from its first node, ends at a tangent $g_k$ from the next node. With costates $y_k$ the
     objective of a mesh without error is $J + \sum_k y_k \cdot g_k + \Delta$ to first order, with $\Delta$ the error
     of the running cost. Source: Becker and Rannacher, Acta Numerica 10 (2001), pp. 1-102.
 
     Example: `problem.solve().accuracy.error`.
 
     Attributes:
-        intervals: of each phase (intervals,), the largest entry of $g_k$ in scales of the states, without unit.
-        change: by how much the objective would change on a mesh without error, to first order, in its unit.
+        intervals: of each phase (intervals,), the largest entry of $g_k$ in scales of the states, dimensionless.
+        change: the change of the objective on a mesh without error, to first order, in its unit.
         share: the size of that change over `size`.
-        size: the objective, or where that is larger what its states are worth: the largest costate times its state.
-        amplified: of each phase (intervals,), the factor by which a substep multiplies a mode of the equations that
+        size: the larger of the objective and the largest product of a costate and its state.
+        amplified: of each phase (intervals,), the factor by which a substep amplifies a mode of the equations that
             does not grow; 1 where the method is stable.
-        exceeded: name -> a limit that is exceeded between nodes, with `by` how much in its unit, `share` of its scale,
-            and `place`; the largest share first.
+        exceeded: name -> a limit that is violated between nodes, with `by` the violation in its unit, `share` in its
+            scale, and `place`; the largest one first.
         tolerance: the `mesh_tolerance` of the solve.
-        middles: of each phase, states by name (intervals, ...) halfway through the close integration.
-        places: of each phase, what it is called in a message.
+        middles: of each phase, states by name (intervals, ...) at the middle of each accurate integration.
+        places: of each phase, its name in a message.
     """
 
     intervals: tuple[Array, ...]

@@ -7,7 +7,7 @@ from typing import Any
 
 
 class Status(enum.Enum):
-    """How an optimisation ended. Each member has a sentence that explains it."""
+    """The status of an optimisation. Each member has a sentence that explains it."""
 
     SOLVED = "the first-order conditions of an optimum hold within the tolerance"
     ACCEPTABLE = (

@@ -38,8 +38,8 @@ _AWAY = (0.1, 0.3, 1.0)
 
 
 class Strategy(enum.Enum):
-    """What `Problem.solve` may do besides one run of the interior-point method. All are allowed unless `strategies=`
-    names some.
+    """Strategies of `Problem.solve` in addition to a single run of the interior-point method. All are used unless
+    `strategies=` lists some.
     """
 
     RESCALING = (

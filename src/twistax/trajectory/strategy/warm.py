@@ -44,18 +44,18 @@ class WarmStart:
         integrated.
 
         Raises:
-            TrajectoryError: steps is no positive whole number; intervals are not equally long.
+            TrajectoryError: steps is not a positive whole number; intervals are not equally long.
         """
         whole("steps", steps, 1, TrajectoryError)
         point = self.point
         if isinstance(point.xs, tuple):
-            raise TrajectoryError("shifted: what comes later is another phase; it needs a problem of one phase")
+            raise TrajectoryError("shifted: the next interval is in another phase; it needs a problem of one phase")
         if self.problem is None:
-            raise TrajectoryError("shifted: the start belongs to no problem")
+            raise TrajectoryError("shifted: the warm start has no problem")
         (problem,) = self.problem.parts
         shooting = problem.shooting
         if not problem.mesh.is_even:
-            raise TrajectoryError("shifted: intervals of other lengths come later; it needs nodes at equal distances")
+            raise TrajectoryError("shifted: intervals have different lengths; it needs nodes at equal distances")
         # Linear controls stay as they are.
         split = shooting.local.controls.split
         still = {name: np.asarray(a) for name, a in problem.continuous.at_rest(split(np.ones(shooting.m))).items()}
@@ -95,9 +95,7 @@ def warm_start(value: Any) -> WarmStart:
         raise TrajectoryError(f"solve: warm must be a result, or what result.shifted() gives; got {short(value)}")
     arrays = [*jax.tree.leaves(warm.point), warm.dynamics, warm.rows]
     if not all(np.isfinite(np.asarray(a)).all() for a in arrays):
-        raise TrajectoryError(
-            "solve: warm has values that are not finite, so nothing starts there\n  fix: solve from a guess"
-        )
+        raise TrajectoryError("solve: warm has values that are not finite\n  fix: solve from a guess")
     return warm
 
 

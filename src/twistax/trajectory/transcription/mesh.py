@@ -18,19 +18,19 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Mesh:
-    """The times of the nodes, as shares of how long the trajectory takes.
+    """The times of the nodes, as fractions of the duration of the trajectory.
 
     Args:
-        nodes: their number, for intervals of equal length, or an increasing sequence of shares from 0 to 1.
-        free: whether the optimiser chooses how long intervals are, as a jump of a control between two nodes needs it:
-            True, or limits (low, high) of their lengths as multiples of those that `nodes` says. True is (0.01, inf).
+        nodes: their number, for intervals of equal length, or an increasing sequence of fractions from 0 to 1.
+        free: whether the lengths of intervals are unknowns, for controls that jump between nodes:
+            True, or limits (low, high) of their lengths as multiples of those in `nodes`. True is (0.01, inf).
 
     Attributes:
         shares: (nodes,).
-        free: the limits, None where nodes stay at their shares.
+        free: the limits, None for fixed nodes.
 
     Raises:
-        TrajectoryError: fewer than two nodes; shares that do not increase from 0 to 1; limits that do not have 1
+        TrajectoryError: fewer than two nodes; fractions that do not increase from 0 to 1; limits that do not have 1
             between them.
     """
 
@@ -59,7 +59,7 @@ class Mesh:
 
     @property
     def nodes(self) -> int:
-        """How many."""
+        """The number of nodes."""
         return len(self.shares)
 
     @property
@@ -69,7 +69,7 @@ class Mesh:
 
     @property
     def widths(self) -> Array:
-        """(nodes - 1,) of the intervals."""
+        """(nodes - 1,) the widths of the intervals."""
         return np.diff(self.shares)
 
 

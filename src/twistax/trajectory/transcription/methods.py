@@ -24,11 +24,11 @@ class MultipleShooting:
     """An explicit Runge-Kutta method in exponential coordinates about the first node of an interval.
 
     Args:
-        method: an `RKMK` with an explicit tableau; RK4 if left out. Its chart does not matter.
-        substeps: its steps in an interval. Limits on states hold at their ends.
+        method: an `RKMK` with an explicit tableau; RK4 by default. Its chart is ignored.
+        substeps: the number of its steps in an interval. Limits on states hold at their ends.
 
     Raises:
-        TrajectoryError: another method, or no positive whole number of substeps.
+        TrajectoryError: another method, or a number of substeps that is not a positive whole number.
     """
 
     method: Any = dataclasses.field(default_factory=lambda: RKMK(RK4))
@@ -40,7 +40,7 @@ class MultipleShooting:
 
     @property
     def scheme(self) -> Scheme:
-        """The method as the solver's core has it; the running cost by Simpson's rule at the ends of substeps."""
+        """The method for the solver's core; the running cost by Simpson's rule at the ends of substeps."""
         a, c = self.method.tableau.counted
         square = np.zeros((len(c), len(c)))
         for row, weights in zip(square, a):
@@ -50,16 +50,16 @@ class MultipleShooting:
 
     @property
     def finer(self) -> MultipleShooting:
-        """A method of higher order in finer steps, to measure errors with."""
+        """A method of higher order with smaller steps, for the mesh error."""
         return MultipleShooting(RKMK(DOP853), max(2 * self.substeps, _LOOKS))
 
     @property
     def replaying(self) -> Method:
-        """The method of a replay that names none."""
+        """The default method of a replay."""
         return RKMK(RK4)
 
     def rolling(self, samples: int) -> MultipleShooting:
-        """The same for the core, in so many steps of an interval."""
+        """The same method for the core, with a number of steps in an interval."""
         return MultipleShooting(RKMK(RK4), samples)
 
 
@@ -67,16 +67,16 @@ class MultipleShooting:
 class Collocation:
     """Collocation on the group: a polynomial in exponential coordinates about the first node of an interval.
 
-    Its slope is that of the equation at the nodes of the tableau. For stiff systems, and for long intervals of high
-    order. The equations of a step are solved inside of the interval, with the running cost integrated to the order of
-    the tableau.
+    The derivative of the polynomial satisfies the equation at the nodes of the tableau. Use it for stiff systems, and
+    for long intervals of high order. The equations of a step are solved inside the interval, with the running cost
+    integrated to the order of the tableau.
 
     Args:
         tableau: a `tx.tableaus.CollocationTableau`, such as `tx.tableaus.GAUSS_LEGENDRE6` or `RADAU_IIA5`.
-        substeps: its steps in an interval. Limits on states hold at their ends.
+        substeps: the number of its steps in an interval. Limits on states hold at their ends.
 
     Raises:
-        TrajectoryError: another tableau, or no positive whole number of substeps.
+        TrajectoryError: another tableau, or a number of substeps that is not a positive whole number.
     """
 
     tableau: Any
@@ -91,23 +91,23 @@ class Collocation:
 
     @property
     def scheme(self) -> Scheme:
-        """The method as the solver's core has it; the running cost by the weights of the tableau."""
+        """The method for the solver's core; the running cost by the weights of the tableau."""
         a, b, c = self.tableau.a, self.tableau.b, self.tableau.c
         weights = np.concatenate([np.zeros(self.substeps + 1), np.tile(b / self.substeps, self.substeps)])
         return Scheme(a, b, c, self.substeps, True, weights)
 
     @property
     def finer(self) -> Collocation:
-        """The same method in finer steps, to measure errors with."""
+        """The same method with smaller steps, for the mesh error."""
         return Collocation(self.tableau, max(2 * self.substeps, _LOOKS))
 
     @property
     def replaying(self) -> Method:
-        """The method of a replay that names none: implicit where the tableau is one for stiff systems."""
+        """The default method of a replay: implicit where the tableau is one for stiff systems."""
         return ImplicitRKMK(self.tableau) if self.tableau.stiffly_accurate else RKMK(RK4)
 
     def rolling(self, samples: int) -> MultipleShooting | Collocation:
-        """The same for the core, in so many steps of an interval."""
+        """The same method for the core, with a number of steps in an interval."""
         stiff = self.tableau.stiffly_accurate
         return Collocation(self.tableau, samples) if stiff else MultipleShooting(RKMK(RK4), samples)
 

@@ -60,7 +60,7 @@ class _Rule:
 
 
 class DaveModel:
-    """What a DAVE-ML file (ANSI/AIAA S-119) calculates, as expressions.
+    """The model of a DAVE-ML file (ANSI/AIAA S-119), as expressions.
 
         aero = load_daveml("F16_aero.dml")
         aero.inputs                       # {'vt': Signal(name='trueAirspeed', units='ft_s', ...), ...}
@@ -69,10 +69,10 @@ class DaveModel:
         aero.check()                      # the file's own check-cases
 
     Attributes:
-        name: of the file's header.
+        name: the name in the file's header.
         variables: every variable by varID, as `Signal`.
-        inputs: those that have to be given: marked so, or with neither calculation, table nor initial value.
-        outputs: those marked so; if none is, those that nothing else in the file needs.
+        inputs: variables that are marked as inputs, or have neither a calculation, a table nor an initial value.
+        outputs: variables that are marked as outputs; if there are none, those that no other variable depends on.
     """
 
     def __init__(self, root: Element) -> None:
@@ -145,9 +145,9 @@ class DaveModel:
     def values(
         self, inputs: Mapping[str, float] | None = None, /, *, outputs: Iterable[str] | None = None, **named: float
     ) -> dict[str, float]:
-        """Outputs as numbers, in double precision, by varID. Arguments, errors: as of a call, with numbers.
+        """Outputs as numbers, in double precision, by varID. Arguments and errors are those of a call, with numbers.
 
-        Raises: ModelError also for an input or an output that is no finite number.
+        Raises: ModelError also for an input or an output that is not a finite number.
         """
         for name, value in {**(inputs or {}), **named}.items():
             number(f"{self.name}: {name}", value, "a finite number", np.isfinite, ModelError)
@@ -162,12 +162,13 @@ class DaveModel:
         return values
 
     def check(self) -> list[StaticCheck]:
-        """Runs the static check-cases of the file, in double precision. Inputs that a case leaves out are initial.
+        """Runs the static check-cases of the file, in double precision. Omitted inputs have their initial values.
 
         Returns: every output of every case; an empty list if the file has none.
         Raises:
-            ModelError: outputs are off by more than their tolerances; it says which, and which internal value of the
-                case is off first. A case leaves out an input that has no initial value, or gives what is no input.
+            ModelError: the errors of outputs exceed their tolerances; it names them, and the first internal value of
+                the case with an error. A case omits an input without an initial value, or has a value for a variable
+                that is not an input.
         """
         if not self._shots:
             return []
@@ -277,9 +278,9 @@ class DaveModel:
 def load_daveml(path: str | Path) -> DaveModel:
     """The model of the DAVE-ML file (ANSI/AIAA S-119-2011, DAVE-ML 1.9 to 2.0) at a path.
 
-    Read are variables with limits and initial values, calculations in MathML, gridded tables, ungridded tables whose
-    points fill a grid, lookups that are linear or by steps, and static checks. A document type may be named and is not
-    opened; nothing is fetched and nothing in the file is run.
+    Supported are variables with limits and initial values, calculations in MathML, gridded tables, ungridded tables
+    whose points are a grid, linear and step interpolation, and static checks. A document type may be named and is not
+    opened; nothing is downloaded and nothing in the file is executed.
 
     Raises: ModelError with file, line and element.
     """

@@ -73,7 +73,7 @@ class Driver:
         self.version = version.value
         if self.version < _LEAST:
             raise BuildError(
-                f"CUDA's driver is that of {self.version // 1000}.{self.version % 1000 // 10}; 12.0 is needed"
+                f"CUDA's driver supports CUDA {self.version // 1000}.{self.version % 1000 // 10}; 12.0 is needed"
             )
         for name in _FUNCTIONS:
             self._declare(name)

@@ -105,7 +105,7 @@ def assembled(module: Module, text: str) -> str:
             passes.getModulePassManager().run(parsed, passes)
             code: str = machine.emit_assembly(parsed)
         except RuntimeError as error:
-            raise BuildError(f"LLVM refuses it: {error}") from error
+            raise BuildError(f"LLVM rejects it: {error}") from error
     return code
 
 

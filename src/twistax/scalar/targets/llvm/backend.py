@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import importlib.metadata
@@ -19,11 +20,13 @@ from ....checks import instance, whole
 from ....errors import ModelError
 from ....jax_inside import ClosedJaxpr, backends
 from ....progress import say_once
-from ...backends import ANY_SIZE, XLA, Backend, Emission, Shapes, Step, StepCompiler, pure
+from ...array_primitive import BatchedByKernel
+from ...backends import ANY_SIZE, XLA, Backend, Emission, Shapes, Step, StepCompiler, is_pure, outweighs_memory, pure
 from ...graph import TooLarge
 from ...jax_primitive import Derived, call_program
 from ...loops import MakeKernel, Repeated, Ring
 from ...program import Rows, ScalarProgram
+from ...small_call import joins_program
 from ...walk import uncollected
 from ..cuda.driver import driver
 from ..cuda.kernel import CudaKernel
@@ -192,18 +195,20 @@ class KernelRunner:
 
 @dataclasses.dataclass(frozen=True)
 class Native(Backend):
-    """Runs functions as kernels: machine code of their scalars for this processor, compiled by LLVM in this process.
+    """Runs functions as kernels: machine code of their scalar programs for this processor, compiled by LLVM in this
+    process.
 
-    Members of a batch run side by side in the vectors of the processor, or each in a thread of a CUDA device. Native
+    Members of a batch run in vector lanes, or each in a thread of a CUDA device. Native
     needs llvmlite, `pip install "twistax[native]"`. It runs calls, batches and derivatives of functions on the CPU and
-    on CUDA devices, and steps of explicit methods, all steps between two saved times in one kernel, with their
-    derivatives. Other loops of integrators, other devices, and functions without a native form run as `scalars` does.
+    on CUDA devices, and steps of explicit methods, with all steps between two saved times in one kernel, and their
+    derivatives. Other loops of integrators, other devices, and functions without a native form use the backend
+    `scalars`.
 
     Attributes:
-        scalars: the backend that turns functions into scalars, and runs them where no kernel does.
-        threads: the largest number of threads that share a large batch; None: as many as XLA has.
-        least: calls with fewer operations on scalars, counted over the whole batch, run by XLA: in a loop a kernel call
-            costs some 100 ns.
+        scalars: the backend that makes scalar programs of functions, and runs them where there is no kernel.
+        threads: the largest number of threads that share a large batch; None: the number of XLA's threads.
+        least: calls with fewer scalar operations, over the whole batch, run by XLA, because a kernel call in a loop
+            takes some 100 ns.
 
     Raises:
         ModelError: threads below one, or least below zero.
@@ -238,6 +243,10 @@ class Native(Backend):
 
     def steps(self) -> StepCompiler:
         return _KernelSteps(self.scalars, self.runner)
+
+    @property
+    def widest(self) -> int:  # type: ignore[override]
+        return self.scalars.widest
 
     @property
     def runner(self) -> KernelRunner:
@@ -303,9 +312,25 @@ class Auto(Native):
 
     def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
         emission = self.scalars.emit(closed, fixed)
-        if emission.program is None or not installed():
+        if not installed():
             return emission
+        if emission.program is None:
+            return self._in_batches(closed, emission) if emission.few and is_pure(closed) else emission
         return self._native(emission.program, lambda: emission)
+
+    def _in_batches(self, closed: ClosedJaxpr, emission: Emission) -> Emission:
+        """A function that runs as it is written alone, and as a kernel in batches."""
+
+        def scalars(closed: ClosedJaxpr) -> Derived | None:
+            with contextlib.suppress(TooLarge):
+                return self._kernels(self.scalars.scalarised(closed))[0] if outweighs_memory(closed.jaxpr) else None
+            return None
+
+        program = BatchedByKernel(closed, scalars)
+
+        function = lambda *a: emission.function(*a) if joins_program() else call_program(program, *a)  # noqa: E731
+        reason = f"{emission.reason}; batches of {self.least:,} operations and more are kernels"
+        return dataclasses.replace(emission, function=function, reason=reason)
 
     def _say_missing(self) -> None:
         """No warning: the user did not ask for llvmlite."""

@@ -47,6 +47,9 @@ class Module:
         self.tables: dict[str, str] = {}
         #: Whether it is a long straight program, or writes much: higher levels of LLVM take time and gain nothing.
         self.long = False
+        #: Whether exponentials, sines and the like are functions that are called: written at each place they take LLVM
+        #: most of its time where there are many.
+        self.calls = False
         #: Bits of vectors for equal operations within one member; 0: LLVM does not search for them.
         self.packed = 0
         #: Functions of the C library that are called.
@@ -200,15 +203,27 @@ class Code:
 
     def exponential(self, kind: str, x: str) -> str:
         """e^x."""
-        return in_precision(self, exponential, kind, x)
+        return self.called("exponential", kind, x, lambda code, x: in_precision(code, exponential, kind, x))
 
     def exponential_less_one(self, kind: str, x: str) -> str:
         """e^x - 1, also of small x."""
-        return in_precision(self, exponential_less_one, kind, x)
+        return self.called("less_one", kind, x, lambda code, x: in_precision(code, exponential_less_one, kind, x))
 
     def hyperbolic_tangent(self, kind: str, x: str) -> str:
         """By e^(2 |x|) - 1."""
-        return in_precision(self, hyperbolic_tangent, kind, x)
+        return self.called("tangent", kind, x, lambda code, x: in_precision(code, hyperbolic_tangent, kind, x))
+
+    def called(self, name: str, kind: str, x: str, formula: Callable[[Code, str], str]) -> str:
+        """A formula of a number: written here, or once, as a function that is called here."""
+        if not self.module.calls:
+            return formula(self, x)
+        name, vector = f"{name}.{self.suffix(kind)}", self.vector(kind)
+        if name not in self.module.functions:
+            inner = Code(self.module, self.lanes)
+            result = formula(inner, "%x")
+            text = inner.function(f"internal {vector} @{name}({vector} %x)", f"ret {vector} {result}")
+            self.module.functions[name] = text
+        return self.emit(f"call {vector} @{name}({vector} {x})")
 
     def negative(self, kind: str, x: str) -> str:
         return self.instruction("sub", kind, "zeroinitializer", x)

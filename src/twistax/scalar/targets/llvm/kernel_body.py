@@ -33,6 +33,11 @@ Rounded: TypeAlias = Callable[[NDArray[Any]], NDArray[Any]]
 #: Entries of results above which LLVM's order of instructions takes seconds: its time grows with their square.
 _MANY = 1000
 
+#: Functions of many instructions each, and how many of them are written where they are computed, which runs a tenth
+#: faster. LLVM puts those of one member into vectors only there.
+_INLINED = {"sin", "cos", "exp", "expm1", "logistic", "tanh"}
+_MOST_INLINED = 100
+
 #: Computed several at a time, by `sines_and_cosines`.
 _TURNING = (OPERATIONS["sin"], OPERATIONS["cos"])
 
@@ -188,6 +193,9 @@ class KernelBody(BatchFunction):
 
     def write(self, module: Module) -> None:
         module.packed = self.packed if self.lanes == 1 else 0
+        functions = sum(count for name, count in self.program.counts().items() if name in _INLINED)
+        on_device = bool(module.processor.triple)  # where calls cost more
+        module.calls = functions > _MOST_INLINED and not module.packed and not on_device
         code = Code(module, self.lanes)
         self.body(code, self._moved(code))
         module.functions["tile"] = code.function(f"internal void @tile(i64 %last{self._heads('ptr noalias')})")

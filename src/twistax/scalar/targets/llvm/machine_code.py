@@ -140,7 +140,7 @@ def compiled(text: str, processor: Processor, long: bool = False, packed: bool =
                 passes.getModulePassManager().run(parsed, passes)
             code: bytes = machine.emit_object(parsed)
         except RuntimeError as error:
-            raise BuildError(f"LLVM refuses it: {error}") from error
+            raise BuildError(f"LLVM rejects it: {error}") from error
         return code
 
 
@@ -197,7 +197,7 @@ def load(
             engine.add_object_file(llvm.ObjectFileRef.from_data(code))
             engine.finalize_object()
         except RuntimeError as error:
-            raise BuildError(f"LLVM refuses it: {error}") from error
+            raise BuildError(f"LLVM rejects it: {error}") from error
         return MachineCode(engine, names)
 
 

@@ -65,7 +65,27 @@ _EXACT = _pieces(6, 23)
 
 
 def sines_and_cosines(code: Code, kind: str, angles: Sequence[str]) -> list[tuple[str, ...]]:
-    """The values of sin x and cos x of several angles: one branch for all, in case that one of them is far."""
+    """The values of sin x and cos x of several angles."""
+    return [_called(code, kind, x) for x in angles] if code.module.calls else _written(code, kind, angles)
+
+
+def _called(code: Code, kind: str, x: str) -> tuple[str, ...]:
+    """By a function of one angle."""
+    vector, name = code.vector(kind), f"turned.{code.suffix(kind)}"
+    pair = f"{{ {vector}, {vector} }}"
+    if name not in code.module.functions:
+        inner = Code(code.module, code.lanes)
+        ((sine, cosine),) = _written(inner, kind, ["%x"])
+        one = inner.emit(f"insertvalue {pair} poison, {vector} {sine}, 0")
+        both = inner.emit(f"insertvalue {pair} {one}, {vector} {cosine}, 1")
+        head = f"internal {pair} @{name}({vector} %x)"
+        code.module.functions[name] = inner.function(head, f"ret {pair} {both}")
+    turned = code.emit(f"call {pair} @{name}({vector} {x})")
+    return tuple(code.emit(f"extractvalue {pair} {turned}, {k}") for k in range(2))
+
+
+def _written(code: Code, kind: str, angles: Sequence[str]) -> list[tuple[str, ...]]:
+    """One branch for all, in case that one of them is far."""
     precision, vector_type = computed_in(code, kind), code.vector(kind)
     largest = code.constant(kind, LARGEST if precision is DOUBLE else _LARGEST_SINGLE)
     near: list[tuple[str, ...]] = []

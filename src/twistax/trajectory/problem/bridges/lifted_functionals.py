@@ -147,7 +147,7 @@ class LiftedFunctionals(Bridge):
             return
         for part in _functionals([leaf.operand]):
             if isinstance(part, Extreme):
-                raise ModelError(f"{leaf!r} reads {part!r}, which no constraint or objective pushes")
+                raise ModelError(f"{leaf!r} reads {part!r}, which no constraint or objective bounds")
             self._add(dynamics, part)
         before = len(self.bounds)
         operand = self._put(self._bounded(leaf) if leaf.key() in self._low else leaf.operand)
@@ -200,17 +200,17 @@ def _check_places(statement: Statement) -> None:
             for leaf in _functionals([constraint]):
                 if node == 0:
                     raise ModelError(
-                        f"initial reads {leaf!r}, but a path has only begun there.\n  fix: ask it in final="
+                        f"initial reads {leaf!r}, which is not defined at the start of a path.\n  fix: use it in final="
                     )
                 if node < statement.last and isinstance(leaf, Extreme):
                     raise ModelError(
-                        f"{name} is asked at a node, but {leaf!r} is a value of the whole path.\n"
-                        "  fix: ask it in final="
+                        f"{name} is a condition at a node, but {leaf!r} is a functional of the whole path.\n"
+                        "  fix: use it in final="
                     )
     for leaf in _functionals([] if objective.running is None else [objective.running]):
         if not isinstance(leaf, Initial):
             raise ModelError(
-                f"the running cost reads {leaf!r}, which is a value of the whole path.\n"
+                f"the running cost reads {leaf!r}, which is a functional of the whole path.\n"
                 "  fix: add it to the objective at the end"
             )
     if objective.final is not None:

@@ -1,0 +1,72 @@
+"""What an expression is, said where it is built."""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+from ...errors import ModelError
+from ..leaves import Constant, Leaf
+from ..node import Expr, to_expr
+from .kinds import Kind, declared
+
+#: Where a node keeps the kind and the unit of `known_as`, and what says that a system shall be checked.
+_KNOWN, _CHECKED = "_known_as", "_checked"
+
+
+def declare(value: Any, kind: Kind | None = None, unit: Any = None) -> Expr:
+    """The same expression, which says what it is: `tx.kinds.declare(R.T @ F, tx.FreeVector("body"), "N")`.
+
+    A system that contains it is checked against that. It is the same to all else: its key, and so each program, does
+    not depend on it. What `canonicalize`, `replace` and the like make of it says nothing. States, controls and
+    parameters may say it themselves, by `kind=` and `unit=`.
+
+    Args:
+        value: an expression, or numbers.
+        kind: what it is and in which frames, such as `tx.Point("world")`; see `tx.kinds`.
+        unit: of all entries, such as "m/s"; of a six-vector that of its angular part.
+    Raises: ModelError for a kind of another shape, or no unit.
+
+    Units: those that are named. Example: `outputs={"tip": tx.kinds.declare(arm.pose("tip")[:3, 3], tx.Point("base"))}`.
+    """
+    expr = to_expr(value)
+    if kind is None and unit is None:
+        raise ModelError("declare expects a kind or a unit, got neither.\n  fix: tx.kinds.declare(x, unit='m')")
+    if isinstance(expr, Constant):
+        return Constant(expr.value, **declared("a constant", expr.shape, kind, unit))
+    same = known_as(expr, kind, unit)
+    same.__dict__[_CHECKED] = True
+    return same
+
+
+Node = TypeVar("Node", bound=Expr)
+
+
+def known_as(expr: Node, kind: Kind | None = None, unit: Any = None) -> Node:
+    """The same expression, which is known to be of a kind and a unit where a system declares others.
+
+    Layers of this package say so of their states, outputs and wrenches. By itself it does not ask for a check, so that
+    models that declare nothing are as free as they were. Raises as `declare`.
+    """
+    facts = declared(f"{type(expr).__name__}", expr.shape, kind, unit)
+    same: Node = object.__new__(type(expr))
+    same.__dict__.update(expr.__dict__)
+    same.__dict__[_KNOWN] = facts["kind"], facts["unit"]
+    return same
+
+
+def declares(node: Expr) -> bool:
+    """Whether a node asks for a check of its system."""
+    return _CHECKED in node.__dict__ or (isinstance(node, Leaf) and node.declares)
+
+
+def known_of(node: Expr) -> tuple[Kind | None, Any] | None:
+    """The kind and the unit of `known_as` or `declare`; None without them."""
+    known: tuple[Kind | None, Any] | None = node.__dict__.get(_KNOWN)
+    return known
+
+
+def kind_of(node: Expr) -> Kind | None:
+    """The kind that a leaf or another expression declares."""
+    known = known_of(node)
+    kind = node.kind if isinstance(node, Leaf) else None
+    return kind or (known[0] if known else None)

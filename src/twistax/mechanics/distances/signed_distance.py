@@ -1,0 +1,150 @@
+"""The signed distance of two solids, as an expression with derivatives of all orders.
+
+Outside, the nearest points of two cores are a corner and its projection on the other core, or lie within two edges. So
+the square of the distance is the least of
+
+    |c - clip(c, -h, h)|^2        |w|^2 - [d e] [1 -b; -b 1]^-1 [d e]^T
+
+over the corners c of one in the frame of the other, of half lengths h, and over pairs of edges, with w from edge to
+edge, b the cosine of the angle between them, d and e the parts of w along them, where both points lie within their
+edges. Where a core has a volume, the depth is that of the separating axes: the greatest over the faces' normals and the
+products of edges n of
+
+    |n . p| - sum_i h_i |n . a_i| - sum_j h_j |n . b_j|,
+
+which is negative where the cores overlap.
+
+Source: C. Ericson, Real-Time Collision Detection (2005), sections 4.4.1, 5.1.3 and 5.1.9.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+
+from ...expr import Abs, Constant, Cross, Dot, Expr, Max, Min, Sqrt, Where
+from ...expr.fields import ExprLike
+from ...expr.lie import Compose, Inverse
+from ...view import Shape
+from ..arguments import pose
+from .solids import HalfSpace, Rounded, rounded
+
+#: Of edges nearer to parallel than this sine squared, the corners are as near as the edges.
+_PARALLEL = 1e-14
+#: Stands for a pair of edges whose nearest points lie beyond their ends, m2.
+_FAR = Constant(1e12)
+_UNIT = np.eye(3)
+
+
+def signed_distance(
+    a: Shape | HalfSpace, b: Shape | HalfSpace, T_a: ExprLike | None = None, T_b: ExprLike | None = None
+) -> Expr:
+    """The distance () of two solids, m; below zero the depth by which they overlap.
+
+    For cores with half lengths h, the distance outside is the least over corners and pairs of edges; with a box it is
+    inside the greatest over the separating axes n of $|n . p| - sum h |n . a|$, and the radii are taken off. Of two
+    capsules or balls the depth is at most the sum of the radii. The distance is continuous, and smooth but where the
+    nearest features change.
+
+    Source: C. Ericson, Real-Time Collision Detection (2005), sections 4.4.1, 5.1.3 and 5.1.9.
+
+    Args:
+        a, b: `tx.view.Sphere`, `Capsule` or `Box`, or one `HalfSpace`. Their `at` is in the frame of their bodies.
+        T_a, T_b: poses (4, 4) of the bodies in one frame, such as `arm.pose("hand")`; the identity unless given.
+    Raises:
+        ModelError: another shape; two half-spaces; numbers that are no pose.
+        ShapeError: a pose of another shape.
+
+    Example:
+        `signed_distance(tx.view.Sphere(0.1), HalfSpace(), arm.pose("hand")) >= 0.02` is a constraint of a `Problem`.
+    """
+    owner = "signed_distance"
+    poses = [pose(owner, name, np.eye(4) if T is None else T) for name, T in (("T_a", T_a), ("T_b", T_b))]
+    if isinstance(a, HalfSpace):
+        a, b, poses = b, a, poses[::-1]
+    core = rounded(owner, a)
+    T = Compose(poses[0], Constant(core.at))
+    if isinstance(b, HalfSpace):
+        return _above(core, Compose(Inverse(Compose(poses[1], Constant(b.at))), T))
+    other = rounded(owner, b)
+    return _apart(core, other, Compose(Inverse(T), Compose(poses[1], Constant(other.at))))
+
+
+def _above(core: Rounded, T: Expr) -> Expr:
+    """The height of a core over the plane z = 0."""
+    height = T[2, 3] - core.radius
+    for i in core.directions:
+        height = height - float(core.half[i]) * Abs(T[2, i])
+    return height
+
+
+def _apart(a: Rounded, b: Rounded, T: Expr) -> Expr:
+    """The distance of two cores, less the radii; T is the pose of b in a."""
+    R, p = T[:3, :3], T[:3, 3]
+    squares = [_to_core(Constant(b.corners) @ R.T + p[None], a), _to_core((Constant(a.corners) - p[None]) @ R, b)]
+    squares += [_between_edges(a, b, i, j, R, p) for i in a.directions for j in b.directions]
+    distance = Sqrt(functools.reduce(Min, [_least(values) for values in squares]))
+    if max(len(a.directions), len(b.directions)) < 3:  # without volume they do not overlap
+        return distance - (a.radius + b.radius)
+    depth = _separation(a, b, R, p)
+    return Where(depth > 0.0, distance, depth) - (a.radius + b.radius)
+
+
+def _to_core(points: Expr, core: Rounded) -> Expr:
+    """The squared distances (k,) of points (k, 3) to a core."""
+    low, high = Constant(-core.half[None]), Constant(core.half[None])
+    return _squares(points - Max(low, Min(points, high)) if core.half.any() else points)
+
+
+def _between_edges(a: Rounded, b: Rounded, i: int, j: int, R: Expr, p: Expr) -> Expr:
+    """The least squared distances (k,) of points within the edges of a along axis i and those of b along axis j."""
+    direction, one, two = R[:, j], a.edges(i), b.edges(j)
+    sine = 1.0 - direction[i] * direction[i]
+    skew = sine > _PARALLEL
+    safe = Where(skew, sine, 1.0)
+    w = Constant(np.repeat(two, len(one), axis=0)) @ R.T + p[None] - Constant(np.tile(one, (len(two), 1)))
+    d, e = w[:, i], w @ direction
+    s, t = (d - direction[i] * e) / safe, (direction[i] * d - e) / safe
+    r = w + t[:, None] * direction[None] - s[:, None] * Constant(_UNIT[i : i + 1])
+    beyond = Max(Abs(s) - float(a.half[i]), Abs(t) - float(b.half[j]))
+    return Where(skew, Where(beyond < 0.0, _squares(r), _FAR), _FAR)
+
+
+def _squares(r: Expr) -> Expr:
+    """The squares (k,) of the lengths of vectors (k, 3)."""
+    return (r * r) @ Constant(np.ones(3))
+
+
+def _least(values: Expr) -> Expr:
+    """The least of 2^n values."""
+    while values.shape[0] > 1:
+        half = values.shape[0] // 2
+        values = Min(values[:half], values[half:])
+    return values[0]
+
+
+def _separation(a: Rounded, b: Rounded, R: Expr, p: Expr) -> Expr:
+    """The greatest distance along a separating axis; below zero the least depth of an overlap."""
+    values: list[Expr] = []
+
+    def along(n: Expr) -> Expr:
+        """The gap along an axis n in the frame of a."""
+        size: Expr = Abs(Dot(n, p))
+        for i in a.directions:
+            size = size - float(a.half[i]) * Abs(n[i])
+        for j in b.directions:
+            size = size - float(b.half[j]) * Abs(Dot(n, R[:, j]))
+        return size
+
+    if len(a.directions) == 3:
+        values += [along(Constant(_UNIT[i])) for i in range(3)]
+    if len(b.directions) == 3:
+        values += [along(R[:, j]) for j in range(3)]
+    for i in a.directions:
+        for j in b.directions:
+            n = Cross(Constant(_UNIT[i]), R[:, j])
+            size = Dot(n, n)
+            skew = size > _PARALLEL
+            values.append(Where(skew, along(n) / Sqrt(Where(skew, size, 1.0)), -_FAR))
+    return functools.reduce(Max, values)

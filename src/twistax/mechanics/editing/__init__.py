@@ -1,0 +1,1 @@
+"""Edits of mechanisms: each function gives the arguments of a new one."""

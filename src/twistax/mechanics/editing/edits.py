@@ -1,0 +1,225 @@
+"""Edits of the links of a mechanism: joints locked, mechanisms attached, links removed, names and bodies exchanged.
+
+Each function returns what changes among the arguments of `Mechanism`; closures, motors and followers go along, and what
+cannot go along is an error that names it.
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+from collections.abc import Callable, Collection, Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from ...checks import listed, reals, short
+from ...errors import ModelError
+from ...expr import Concat, Constant, Expr, canonicalize_all
+from ...expr.fields import ExprLike
+from ...expr.lie.base import check_element
+from ...system import free_name
+from ..arguments import of_kind, of_shape, pose
+from ..bodies import SpatialInertia
+from ..drives import Drive
+from ..joints import Fixed
+from ..kinematic_tree import KinematicTree
+from ..tree import Link
+
+Changes = dict[str, Any]
+
+
+def parent_of(mechanism: KinematicTree, link: Link) -> str | None:
+    """The name of the link before; None for the base, by whatever name the link calls it."""
+    return None if link.parent == mechanism.base else link.parent
+
+
+def carrier_of(mechanism: KinematicTree, frame: str) -> str:
+    """The name of the link that a frame is, or of the base: a frame may go by the name of a joint."""
+    return frame if frame == mechanism.base else mechanism.link(frame).name
+
+
+# ---- joints that are locked ------------------------------------------------------------------------------------------
+
+
+def locked(mechanism: KinematicTree, positions: Mapping[str, ExprLike]) -> Changes:
+    """Implements `Mechanism.lock`."""
+    owner = "Mechanism.lock"
+    if not isinstance(positions, Mapping):
+        raise ModelError(f"{owner} expects positions by the names of joints, got {short(positions)}")
+    values = {name: _position(mechanism, owner, name, value) for name, value in positions.items()}
+    notes = [note for name, value in values.items() if (note := _beyond_limits(mechanism, name, value))]
+    for link in mechanism.links:
+        if link.mimic is not None and link.mimic.joint in values:
+            values[link.joint.name] = link.mimic.ratio * values[link.mimic.joint] + link.mimic.offset
+    links = [_fixed_at(link, values.get(link.joint.name)) for link in mechanism.links]
+    return {"links": links, **_without_joints(mechanism, values), "notes": (*mechanism.arguments["notes"], *notes)}
+
+
+def _position(mechanism: KinematicTree, owner: str, name: str, value: ExprLike) -> Expr:
+    """The position of a joint, (k,) or an element of its group. Raises ModelError, ShapeError."""
+    segment = mechanism.segment_of(name)
+    joint, mimic = segment.link.joint, segment.link.mimic
+    if not joint.dofs:
+        raise ModelError(f"{owner}: joint {name!r} does not move")
+    if mimic is not None:
+        raise ModelError(f"{owner}: joint {name!r} follows {mimic.joint!r}.\n  fix: lock {mimic.joint!r}")
+    what, shape = f"the position of {name!r}", (joint.dofs,) if joint.group is None else joint.group.shape
+    if not isinstance(value, Expr):
+        value = reals(f"{owner}: {what}", value, ModelError).astype(np.float64)
+        if not np.isfinite(value).all():
+            raise ModelError(f"{owner} expects {what} to be finite, got {value.tolist()}")
+    if value.shape == () and shape == (1,):
+        value = Concat(value)
+    (position,) = canonicalize_all([of_shape(owner, what, value, shape)])
+    if joint.group is not None:
+        check_element(owner, what, position)
+    return position
+
+
+def _beyond_limits(mechanism: KinematicTree, name: str, position: Expr) -> str | None:
+    drive = mechanism.segment_of(name).link.drive
+    low, high = (-np.inf if drive.lower is None else drive.lower), (np.inf if drive.upper is None else drive.upper)
+    if not isinstance(position, Constant) or position.value.ndim > 1:
+        return None
+    inside = bool(np.all((low <= position.value) & (position.value <= high)))
+    return None if inside else f"joint {name!r} is locked at {position.value.tolist()}, outside of its limits"
+
+
+def _fixed_at(link: Link, position: Expr | None) -> Link:
+    if position is None:
+        return link
+    (mount,) = canonicalize_all([link.transform(position)])
+    return dataclasses.replace(link, joint=Fixed(link.joint.name), mount=mount, drive=Drive(), mimic=None)
+
+
+def _without_joints(mechanism: KinematicTree, names: Collection[str]) -> Changes:
+    """The motors that are left."""
+    driven = mechanism.arguments["driven"]
+    return {"driven": driven if driven is None else tuple(name for name in driven if name not in names)}
+
+
+# ---- links that go, and mechanisms that come -------------------------------------------------------------------------
+
+
+def without(mechanism: KinematicTree, names: Iterable[str]) -> Changes:
+    """Implements `Mechanism.without`."""
+    owner, removed = "Mechanism.without", {mechanism.link(name).name for name in names}
+    for link in mechanism.links:  # each after its parent
+        if link.parent in removed:
+            removed.add(link.name)
+    left = [link for link in mechanism.links if link.name not in removed]
+    joints = {link.joint.name for link in mechanism.links if link.name in removed}
+    if not left:
+        raise ModelError(f"{owner}: no link would be left")
+    for link in left:
+        if link.mimic is not None and link.mimic.joint in joints:
+            raise ModelError(
+                f"{owner}: joint {link.joint.name!r} follows {link.mimic.joint!r}, which would be gone.\n"
+                f"  fix: remove {link.name!r} as well, or lock {link.mimic.joint!r} first"
+            )
+    loops = []
+    for loop in mechanism.loops:
+        ends = [carrier_of(mechanism, end) in removed for end in (loop.frame, loop.other)]
+        if any(ends) and not all(ends):
+            raise ModelError(
+                f"{owner}: {loop!r} closes a loop with a frame that would be gone.\n"
+                "  fix: replace(loops=[...]) with the closures that stay, before"
+            )
+        if not any(ends):
+            loops.append(loop)
+    return {"links": left, **_without_joints(mechanism, joints), "loops": loops}
+
+
+def attached(mechanism: KinematicTree, other: KinematicTree, frame: str | None, at: ExprLike | None) -> Changes:
+    """Implements `Mechanism.attach`."""
+    owner = "Mechanism.attach"
+    of_kind(owner, "other", other, KinematicTree)
+    T = pose(owner, "pose", np.eye(4) if at is None else at)
+    carrier = mechanism.base if frame is None else carrier_of(mechanism, frame)
+    _need_other_names(owner, mechanism, other)
+    joints = {link.joint.name for tree in (mechanism, other) for link in tree.links}
+    mount = Fixed(free_name(f"{other.base} fixed", joints))
+    parent = None if carrier == mechanism.base else carrier
+    base = Link(mount, None, T, parent=parent, name=other.base, shapes=other.shapes)
+    links = [dataclasses.replace(link, parent=parent_of(other, link) or other.base) for link in other.links]
+    if mechanism.loops and other.loops and mechanism.loop_metric != other.loop_metric:
+        raise ModelError(
+            f"{owner}: the two have different loop metrics, {mechanism.loop_metric} and {other.loop_metric}.\n"
+            "  fix: replace(loop_metric=...) of one of them, before"
+        )
+    ours, theirs = mechanism.arguments, other.arguments
+    explicit = ours["driven"] is not None or theirs["driven"] is not None
+    return {
+        "links": [*mechanism.links, base, *links],
+        "keep": (*_names(ours["keep"]), *_names(theirs["keep"])),
+        "notes": (*ours["notes"], *theirs["notes"]),
+        "driven": (*mechanism.driven, *other.driven) if explicit else None,
+        "loops": (*mechanism.loops, *other.loops),
+        "loop_metric": mechanism.loop_metric if mechanism.loops or not other.loops else other.loop_metric,
+    }
+
+
+def _need_other_names(owner: str, mechanism: KinematicTree, other: KinematicTree) -> None:
+    """Raise ModelError for names that both have."""
+    kinds: dict[str, Callable[[KinematicTree], set[str]]] = {
+        "frames": lambda tree: set(tree.frames),
+        "joints": lambda tree: {link.joint.name for link in tree.links},
+        "closures": lambda tree: {loop.name for loop in tree.loops},
+    }
+    for kind, names in kinds.items():
+        both = names(mechanism) & names(other)
+        if both:
+            raise ModelError(
+                f"{owner}: both have {kind} named {listed(sorted(both))}.\n  fix: attach(other.renamed('left_'), ...)"
+            )
+
+
+def _names(names: Collection[str]) -> tuple[str, ...]:
+    return (names,) if isinstance(names, str) else tuple(names)
+
+
+# ---- names and bodies ------------------------------------------------------------------------------------------------
+
+
+def renamed(mechanism: KinematicTree, prefix: str) -> Changes:
+    """Implements `Mechanism.renamed`."""
+    if not isinstance(prefix, str) or not prefix:
+        raise ModelError(f"Mechanism.renamed expects a prefix, such as 'left_', got {prefix!r}")
+
+    def link_of(link: Link) -> Link:
+        parent, mimic = parent_of(mechanism, link), link.mimic
+        return dataclasses.replace(
+            link,
+            joint=link.joint.renamed(prefix + link.joint.name),
+            parent=None if parent is None else prefix + parent,
+            name=prefix + link.name,
+            mimic=None if mimic is None else dataclasses.replace(mimic, joint=prefix + mimic.joint),
+        )
+
+    loops = []
+    for loop in mechanism.loops:
+        loop = copy.copy(loop)
+        loop.name, loop.frame, loop.other = prefix + loop.name, prefix + loop.frame, prefix + loop.other
+        loops.append(loop)
+    driven = mechanism.arguments["driven"]
+    return {
+        "links": [link_of(link) for link in mechanism.links],
+        "base": prefix + mechanism.base,
+        "keep": tuple(prefix + name for name in _names(mechanism.arguments["keep"])),
+        "driven": None if driven is None else tuple(prefix + name for name in driven),
+        "loops": loops,
+    }
+
+
+def with_inertia(mechanism: KinematicTree, bodies: Mapping[str, SpatialInertia | None]) -> Changes:
+    """Implements `Mechanism.with_inertia`."""
+    if not isinstance(bodies, Mapping):
+        raise ModelError(f"Mechanism.with_inertia expects bodies by the names of links, got {short(bodies)}")
+    by_link = {mechanism.link(name).name: body for name, body in bodies.items()}
+    return {
+        "links": [
+            dataclasses.replace(link, body=by_link[link.name]) if link.name in by_link else link
+            for link in mechanism.links
+        ]
+    }

@@ -1,0 +1,146 @@
+"""Which combinations of parameters motions determine: the base parameters, by the rank of a stacked regressor."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Collection, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from ...checks import number, reals, whole
+from ...errors import ModelError
+from ...expr import State, leaves_of
+from ...system.lower import lower
+from ..kinematic_tree import KinematicTree
+from .regressor import inverse_dynamics_regressor
+
+#: Coefficients below this are rounding.
+_ZERO = 1e-7
+
+
+@dataclasses.dataclass(frozen=True)
+class BaseParameters:
+    """The combinations of parameters that a regressor determines, $beta = C theta$. Made by `base_parameters` and
+    `identifiable_combinations`.
+
+    Attributes:
+        names: of the combinations, such as "link1.Izz + link2.Iyy".
+        combinations: C (r, p), in units of the parameters; r is the rank. Its columns `columns` are the identity.
+        columns: the numbers of r independent columns of the regressor: $Y theta = Y[:, columns] beta$.
+        without_effect: names of parameters that no force depends on.
+    """
+
+    names: tuple[str, ...]
+    combinations: NDArray[np.float64]
+    columns: tuple[int, ...]
+    without_effect: tuple[str, ...]
+
+    @property
+    def rank(self) -> int:
+        """The number r of combinations."""
+        return len(self.columns)
+
+
+def identifiable_combinations(W: Any, names: Sequence[str], tolerance: float = 1e-8) -> BaseParameters:
+    """The combinations of parameters that measurements with the stacked regressor W (N, p) determine.
+
+    The columns are taken in order. One whose distance from the span of those before it is below `tolerance` times its
+    length depends on them: $W_d = W_b K$, and with it $beta = theta_b + K theta_d$, in the units of the parameters.
+
+    Source: M. Gautier, Numerical Calculation of the Base Inertial Parameters of Robots, J. of Robotic Systems 8 (1991).
+
+    Args:
+        W: regressors of all samples, one under the other, of real motions or random ones.
+        names: of the p parameters.
+        tolerance: (), between 0 and 1; that of measured motions is as large as their noise.
+    Raises: ModelError for something else, or entries that are not finite.
+    """
+    owner = "identifiable_combinations"
+    matrix = reals(f"{owner}: W", W, ModelError).astype(np.float64)
+    if matrix.ndim != 2 or matrix.shape[1] != len(names) or not np.isfinite(matrix).all():
+        raise ModelError(
+            f"{owner} expects W with finite entries and a column for each of {len(names)} names, got {matrix.shape}"
+        )
+    number(f"{owner}: tolerance", tolerance, "a number between 0 and 1", lambda x: 0.0 < x < 1.0, ModelError)
+    lengths = np.linalg.norm(matrix, axis=0)
+    floor = tolerance * lengths.max(initial=0.0)
+    basis, columns = np.zeros((matrix.shape[0], 0)), list[int]()
+    for j in np.flatnonzero(lengths > floor):
+        rest = matrix[:, j]
+        for _ in range(2):  # the second pass removes the round-off of the first
+            rest = rest - basis @ (basis.T @ rest)
+        if np.linalg.norm(rest) > tolerance * lengths[j]:
+            basis = np.column_stack([basis, rest / np.linalg.norm(rest)])
+            columns.append(int(j))
+    C = np.zeros((0, len(names)))
+    if columns:
+        C = np.asarray(np.linalg.lstsq(matrix[:, columns], matrix, rcond=None)[0], dtype=np.float64)
+    C[:, lengths <= floor] = 0.0
+    C[:, columns] = np.eye(len(columns))
+    C[np.abs(C) < _ZERO] = 0.0
+    without = tuple(names[int(j)] for j in np.flatnonzero(lengths <= floor))
+    return BaseParameters(tuple(_sum_of(row, names) for row in C), C, tuple(columns), without)
+
+
+def _sum_of(row: NDArray[np.float64], names: Sequence[str]) -> str:
+    """A combination as text."""
+    words = list[str]()
+    for coefficient, name in zip(row, names, strict=True):
+        if coefficient:
+            size = "" if abs(abs(coefficient) - 1.0) < _ZERO else f"{abs(coefficient):.4g} "
+            sign = ("-" if coefficient < 0.0 else "") if not words else (" - " if coefficient < 0.0 else " + ")
+            words.append(f"{sign}{size}{name}")
+    return "".join(words)
+
+
+def base_parameters(
+    mechanism: KinematicTree, *, drives: Collection[str] | None = None, samples: int | None = None, seed: int = 0
+) -> BaseParameters:
+    """The combinations of inertial parameters that joint forces determine, if the mechanism may move in every way.
+
+    They are those of `identifiable_combinations`, $beta = C theta$, for the regressor at random positions, velocities
+    and accelerations. Units are those of `Regressor`.
+
+    Source: M. Gautier, Numerical Calculation of the Base Inertial Parameters of Robots, J. of Robotic Systems 8 (1991).
+
+    Args:
+        mechanism: a tree or a chain, with numbers, or Parameters with default values, for axes and mounts.
+        drives: as of `inverse_dynamics_regressor`.
+        samples: the number of random states, at least one; three times as many equations as parameters unless given.
+        seed: of the states.
+    Raises: ModelError as `inverse_dynamics_regressor` does.
+
+    Example:
+        `base_parameters(tx.mechanics.chain_models.panda()).rank` is 43.
+    """
+    n, qdd = mechanism.dofs, State("qdd of the regressor", (mechanism.dofs,))
+    regressor = inverse_dynamics_regressor(mechanism, qdd=qdd, drives=drives)
+    whole("base_parameters: seed", seed, 0, ModelError)
+    enough = -(-3 * len(regressor.names) // n)
+    count = enough if samples is None else whole("base_parameters: samples", samples, 1, ModelError)
+    rng = np.random.default_rng(seed)
+    states = [leaf for leaf in leaves_of(regressor.matrix) if isinstance(leaf, State)]
+    values = {state.name: _random(state, rng, count) for state in states}
+    with jax.enable_x64(True):
+        function = lower(regressor.matrix)
+        stacked = jax.jit(jax.vmap(lambda x: function(0.0, x)))(values)
+        W = np.asarray(stacked, dtype=np.float64).reshape(-1, len(regressor.names))
+    return identifiable_combinations(W, regressor.names)
+
+
+def _random(state: State, rng: np.random.Generator, count: int) -> NDArray[np.float64]:
+    """Elements of SO(3) and SE(3) by random unit quaternions, other entries between -pi and pi."""
+    if state.group.flat:
+        return rng.uniform(-np.pi, np.pi, size=(count, *state.shape))
+    w, x, y, z = (q := rng.normal(size=(4, count))) / np.linalg.norm(q, axis=0)
+    v, size = np.stack([x, y, z]), state.shape[0]
+    T = np.tile(np.eye(size), (count, 1, 1))
+    cross = np.stack([[0.0 * x, -z, y], [z, 0.0 * x, -x], [-y, x, 0.0 * x]])
+    R = (w * w - np.sum(v * v, axis=0)) * np.eye(3)[:, :, None] + 2.0 * v[:, None] * v[None] + 2.0 * w * cross
+    T[:, :3, :3] = np.moveaxis(R, 2, 0)
+    if size == 4:
+        T[:, :3, 3] = rng.normal(size=(count, 3))
+    return T

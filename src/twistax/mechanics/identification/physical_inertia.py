@@ -1,0 +1,86 @@
+"""Inertias that are physical for all values of ten numbers: the log-Cholesky form of the pseudo-inertia.
+
+The pseudo-inertia of a body is the integral of $r r^T$ over its mass, with $r = [x, y, z, 1]$. A body has positive mass
+density somewhere off every plane if it is positive definite. With an upper triangular factor
+
+    J = U U^T,  U = e^a [[e^d1, s12, s13, t1], [0, e^d2, s23, t2], [0, 0, e^d3, t3], [0, 0, 0, 1]]
+
+the mass is e^(2a), the centre of mass is t, and $e^(2a) S S^T$ is the second moment about it, with S the upper left
+block. So every vector of the ten numbers is a body, and every body that is not flat is one vector.
+
+Source: C. Rucker, P. Wensing, Smooth Parameterization of Rigid-Body Inertia, IEEE Robotics and Automation Letters 7
+(2022), equations 8 to 10.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...checks import short
+from ...errors import ModelError
+from ...expr import Concat, Constant, Exp, Expr, Stack, to_expr
+from ...expr.fields import ExprLike
+from ..arguments import of_kind, of_shape
+from ..bodies import SpatialInertia
+
+_ZERO = Constant(0.0)
+
+
+def physical_inertia(parameters: ExprLike) -> SpatialInertia:
+    """The body of ten numbers $[a, d1, d2, d3, s12, s23, s13, t1, t2, t3]$, which is physical for all values of them.
+
+    $m = e^(2 a)$ kg, the centre of mass is t, m. With the upper triangular S of the diagonal $e^d$ and the entries s
+
+        $Sigma = m S S^T, I_c = tr(Sigma) 1 - Sigma$.
+
+    As Parameters they are found by any optimiser without constraints, see `log_cholesky` for their start.
+
+    Source: C. Rucker, P. Wensing, Smooth Parameterization of Rigid-Body Inertia (2022), equations 8 to 10.
+
+    Args:
+        parameters: (10,), any numbers.
+    Raises: ShapeError if they are not of shape (10,).
+    """
+    x = of_shape("physical_inertia", "parameters", parameters, (10,))
+    mass = Exp(2.0 * x[0])
+    S = Stack(Concat(Exp(x[1]), x[4], x[6]), Concat(_ZERO, Exp(x[2]), x[5]), Concat(_ZERO, _ZERO, Exp(x[3])))
+    second: Expr = mass * (S @ S.T)
+    trace = second[0, 0] + second[1, 1] + second[2, 2]
+    return SpatialInertia(mass=mass, center_of_mass=x[7:], inertia=trace * np.eye(3) - second)
+
+
+def log_cholesky(body: SpatialInertia) -> NDArray[np.float64]:
+    """The ten numbers (10,) of a body, the inverse of `physical_inertia`.
+
+    S is the upper triangular Cholesky factor of the second moment about the centre of mass, per kg:
+
+        $S S^T = (tr(I_c) 1 / 2 - I_c) / m, a = log(m) / 2, d = log(diag S)$.
+
+    Source: C. Rucker, P. Wensing, Smooth Parameterization of Rigid-Body Inertia (2022), equations 8 to 10.
+
+    Args:
+        body: with numbers for mass, centre of mass and inertia, or Parameters with values.
+    Raises: ModelError for something else; a body that is flat, a line or a point, or that is not physical.
+    """
+    of_kind("log_cholesky", "body", body, SpatialInertia)
+    mass, center, tensor = (_number(name, getattr(body, name)) for name in ("mass", "center_of_mass", "inertia"))
+    second = 0.5 * np.trace(tensor) * np.eye(3) - tensor
+    moments = np.linalg.eigvalsh(second)
+    if not (mass > 0.0 and moments[0] > 0.0):
+        raise ModelError(
+            f"log_cholesky expects a body with mass off every plane: each principal moment below the sum of the other "
+            f"two, got {float(mass)} kg and {np.linalg.eigvalsh(tensor).tolist()} kg m2.\n"
+            "  fix: give it a thickness"
+        )
+    flip = np.eye(3)[::-1]
+    S = flip @ np.linalg.cholesky(flip @ (second / mass) @ flip) @ flip
+    logs = [0.5 * np.log(mass), *np.log(np.diag(S))]
+    return np.array([*logs, S[0, 1], S[1, 2], S[0, 2], *center])
+
+
+def _number(name: str, value: ExprLike) -> NDArray[np.float64]:
+    known = getattr(to_expr(value), "value", None)
+    if known is None:
+        raise ModelError(f"log_cholesky expects numbers as {name}, got {short(value)}")
+    return np.asarray(known, dtype=np.float64)

@@ -1,0 +1,295 @@
+"""Inverse kinematics: positions of the joints at which frames are at targets."""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+import functools
+import math
+from collections.abc import Mapping
+from typing import Any, SupportsIndex
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ...checks import listed, number, short, whole
+from ...errors import InputError
+from ...jax_inside import is_traced
+from ...scalar.fast import fast
+from ...system.lower import lower
+from ..algorithms.dynamics import checked
+from ..kinematic_tree import KinematicTree
+from .solver import SearchEnd, SearchOptions, SeededSearch
+from .tasks import Arrays, Tasks
+
+#: How far a target may be from a pose.
+_NEARLY = 1e-4
+
+
+class ReachStatus(enum.IntEnum):
+    """What became of a target.
+
+    - `REACHED`: all frames are at their targets, to the tolerances.
+    - `LIMIT`: the best seed ended where limits of joints stop it; `at_limit` says which.
+    - `UNREACHABLE`: the best seed ended without a limit that stops it: at a minimum of the distance where `slope` is
+      small, else after all iterations.
+    """
+
+    REACHED = 0
+    LIMIT = 1
+    UNREACHABLE = 2
+
+
+@functools.partial(
+    jax.tree_util.register_dataclass,
+    data_fields=["x", "status", "distance", "angle", "at_limit", "slope", "minima", "seeds"],
+    meta_fields=["frames", "joints"],
+)
+@dataclasses.dataclass(frozen=True)
+class ReachResult:
+    """The result of `reach`, with the leading axes of the targets.
+
+    Attributes:
+        x: positions by state, "q" (..., w) and "<joint>_position" on groups, as `tx.integrate` and calls take them.
+        status: (...,), numbers of `ReachStatus`.
+        distance: (..., frames), m: from the origin of each frame to its target.
+        angle: (..., frames), rad: from the axes of each frame to its target; zero for positions.
+        at_limit: (..., n): the freedoms that a limit stops from getting nearer.
+        slope: (...,): $|P J^T e| / (|J| |e|)$, with P the projection on what limits leave. At a local minimum it is
+            zero. It says nothing where the target is reached.
+        minima: (...,): how many seeds ended at a local minimum.
+        seeds: (...,): how many seeds were tried.
+        frames: names, in the order of the last axis of `distance`.
+        joints: by freedom the name of its joint.
+    """
+
+    x: dict[str, jax.Array]
+    status: jax.Array
+    distance: jax.Array
+    angle: jax.Array
+    at_limit: jax.Array
+    slope: jax.Array
+    minima: jax.Array
+    seeds: jax.Array
+    frames: tuple[str, ...]
+    joints: tuple[str, ...]
+
+    def stopped_by(self, *index: SupportsIndex) -> tuple[str, ...]:
+        """The joints whose limits stop the best seed of one target."""
+        return tuple(dict.fromkeys(self.joints[i] for i in np.flatnonzero(np.asarray(self.at_limit[index]))))
+
+
+def reach(
+    mechanism: KinematicTree,
+    targets: Mapping[str, Any],
+    *,
+    start: Mapping[str, Any] | None = None,
+    seeds: int = 8,
+    candidates: int = 64,
+    length: float = 0.3,
+    position_tolerance: float = 1e-5,
+    angle_tolerance: float = 1e-5,
+    iterations: int = 80,
+) -> ReachResult:
+    """Inverse kinematics within the limits of joints: positions at which frames are at poses, or at positions.
+
+    It minimises $|e|^2$ with $e = [p_d - p; l Log(R^T R_d)]$ of all frames, by damped least squares on the groups,
+
+        $d = D J^T (J D J^T + mu 1)^-1 e$
+
+    with D zero for joints that a limit stops, from seed to seed until one reaches the target. A seed is the best of
+    some random candidates. All targets run in one kernel. It is called under `jit`, `vmap` and `grad` too; derivatives
+    are those of the nearest solution, $dx = J^+ de$, where the target is reached, and zero elsewhere. The random
+    positions are the same in every call.
+
+    Source: T. Sugihara, Solvability-Unconcerned Inverse Kinematics by the Levenberg-Marquardt Method, IEEE Transactions
+    on Robotics 27 (2011), equations 14 to 18; C. Kanzow, N. Yamashita, M. Fukushima, Levenberg-Marquardt Methods with
+    Strong Local Convergence Properties for Solving Nonlinear Equations with Convex Constraints (2004), for limits.
+
+    Args:
+        mechanism: a tree or a chain without closures.
+        targets: by frame, poses (..., 4, 4) or positions (..., 3) in the base; all with the same leading axes.
+        start: positions by state that the first seed takes, with the leading axes of the targets or none.
+        seeds: how many seeds are tried for a target.
+        candidates: how many random positions each seed is chosen from.
+        length: l, m: how far a turn of 1 rad counts.
+        position_tolerance, angle_tolerance: m and rad, at which a frame counts as at its target.
+        iterations: of one seed, at most.
+    Raises:
+        ModelError: a frame that is not known; closures; joints on other groups than SO(3) and SE(3); a mechanism in
+            which nothing moves.
+        InputError: targets or start of other shapes, or not finite; numbers out of their range.
+
+    Example:
+        `reach(arm, {"flange": tx.pose(position=[0.4, 0.1, 0.5])}).x["q"]`
+    """
+    checked("reach", mechanism)
+    arrays, leading = _targets(mechanism, targets)
+    for name, value in (("seeds", seeds), ("candidates", candidates), ("iterations", iterations)):
+        whole(f"reach: {name}", value, 1)
+    for name, size in (
+        ("length", length),
+        ("position_tolerance", position_tolerance),
+        ("angle_tolerance", angle_tolerance),
+    ):
+        number(f"reach: {name}", size, "a positive number", lambda x: 0.0 < x < np.inf)
+    shapes = tuple((name, value.shape[1:]) for name, value in arrays.items())
+    options = SearchOptions(float(position_tolerance), float(angle_tolerance), iterations)
+    search = _Reacher.of(mechanism, shapes, float(length), options, seeds, candidates)
+    first = None if start is None else _start(search.tasks, start, leading)
+    return jax.tree.map(lambda a: a.reshape(*leading, *a.shape[1:]), search(arrays, first))
+
+
+def _targets(mechanism: KinematicTree, targets: Mapping[str, Any]) -> tuple[Arrays, tuple[int, ...]]:
+    """The targets (count, ...), and their leading axes. Raises InputError."""
+    if not isinstance(targets, Mapping) or not targets:
+        raise InputError(f"reach expects targets by the names of frames, got {short(targets)}")
+    arrays, leading = Arrays(), dict[str, tuple[int, ...]]()
+    for frame, value in targets.items():
+        mechanism.frame(frame)
+        T = jnp.asarray(value)
+        T = T if jnp.issubdtype(T.dtype, jnp.floating) else T.astype(float)
+        size = 2 if T.shape[-2:] == (4, 4) else 1
+        if T.shape[-size:] not in ((4, 4), (3,)):
+            raise InputError(f"reach expects the target of {frame!r} as (..., 4, 4) or (..., 3), got {T.shape}")
+        leading[frame] = T.shape[:-size]
+        arrays[frame] = T.reshape(math.prod(leading[frame]), *T.shape[-size:])
+        if not is_traced(T):
+            _check(frame, np.asarray(arrays[frame]))
+    if len(set(leading.values())) > 1:
+        raise InputError(f"reach expects targets with the same leading axes, got {leading}")
+    return arrays, next(iter(leading.values()))
+
+
+def _check(frame: str, T: np.ndarray) -> None:
+    """Raise InputError for targets that are not finite, or no poses."""
+    if not np.isfinite(T).all():
+        finite = np.isfinite(T).reshape(len(T), -1).all(axis=1)
+        raise InputError(f"reach expects finite targets, got for {frame!r}\n{T[~finite][0]}")
+    if T.ndim == 3 and len(T):
+        R = T[:, :3, :3]
+        off = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)[None]).max(axis=(1, 2)) + np.abs(np.linalg.det(R) - 1.0)
+        off += np.abs(T[:, 3] - np.eye(4)[None, 3]).max(axis=1)
+        if off.max() > _NEARLY:
+            raise InputError(
+                f"reach expects poses [R p; 0 1] as targets of {frame!r}, got\n{T[np.argmax(off)]}\n"
+                "  fix: tx.pose(...) builds one"
+            )
+
+
+def _start(tasks: Tasks, start: Mapping[str, Any], leading: tuple[int, ...]) -> Arrays:
+    """The first seed of each target. Raises InputError."""
+    if set(start) != set(tasks.names):
+        raise InputError(f"reach: start expects {listed(tasks.names)}, got {listed(start)}")
+    count, arrays = math.prod(leading), Arrays()
+    for state in tasks.states:
+        value = jnp.asarray(start[state.name])
+        if value.shape not in (state.shape, (*leading, *state.shape)):
+            either = f"{state.shape} or {(*leading, *state.shape)}"
+            raise InputError(f"reach: start expects {state.name!r} with shape {either}, got {value.shape}")
+        arrays[state.name] = jnp.broadcast_to(value, (*leading, *state.shape)).reshape(count, *state.shape)
+    return arrays
+
+
+class _Reacher:
+    """The compiled search for a mechanism, frames and options."""
+
+    def __init__(
+        self,
+        mechanism: KinematicTree,
+        shapes: tuple[tuple[str, tuple[int, ...]], ...],
+        length: float,
+        options: SearchOptions,
+        seeds: int,
+        candidates: int,
+    ) -> None:
+        self.tasks, self._options, self._seeds = Tasks(mechanism, dict(shapes), length), options, seeds
+        self._frames = tuple(name for name, _ in shapes)
+        freedoms = {i: s.link.joint.name for s in reversed(mechanism.segments) for i in s.freedoms}
+        self._joints = tuple(freedoms[i] for i in range(mechanism.dofs))
+        pool = self.tasks.random(np.random.default_rng(0), seeds * candidates)
+        forward = lower({name: mechanism.pose(name) for name in self._frames})
+        with jax.ensure_compile_time_eval():  # the first call may be one that is traced
+            poses = jax.jit(jax.vmap(lambda x: forward(0.0, x)))(pool)
+        self._pool = {name: value.reshape(seeds, candidates, *value.shape[1:]) for name, value in pool.items()}
+        self._features = np.concatenate([self._feature(name, np.asarray(poses[name])) for name in self._frames], axis=1)
+        search = SeededSearch(self.tasks, options)
+        self._solve, self._search = search.solve, fast(search.one)
+        self._call = jax.jit(self._all)
+
+    @staticmethod
+    @functools.lru_cache(maxsize=32)
+    def of(*arguments: Any) -> _Reacher:
+        """One search is compiled once."""
+        return _Reacher(*arguments)
+
+    def __call__(self, targets: Arrays, start: Arrays | None) -> ReachResult:
+        result: ReachResult = self._call(targets, start)
+        return result
+
+    def _feature(self, frame: str, T: Any) -> Any:
+        """Vectors (count, k) whose squared distance is that of poses: |p - p_d|^2 + l^2 |R - R_d|_F^2 / 2."""
+        pose = dict(zip(self._frames, self._kinds(), strict=True))[frame]
+        if not pose:
+            return T[:, :3, 3] if T.ndim == 3 else T
+        turned = T[:, :3, :3].reshape(len(T), 9) * (self.tasks.length * math.sqrt(0.5))
+        return (jnp if is_traced(T) else np).concatenate([T[:, :3, 3], turned], axis=1)
+
+    def _kinds(self) -> list[bool]:
+        """For each frame whether its target is a pose."""
+        return [shape == (4, 4) for shape in self.tasks.shapes.values()]
+
+    def _chosen(self, targets: Arrays) -> Arrays:
+        """The best candidate of each seed, (count, seeds, ...)."""
+        wanted = jnp.concatenate([self._feature(name, targets[name]) for name in self._frames], axis=1)
+        features = jnp.asarray(self._features, dtype=wanted.dtype)
+        far = jnp.sum(features**2, axis=1)[None] - 2.0 * wanted @ features.T  # but for what all candidates share
+        best = jnp.argmin(far.reshape(len(wanted), self._seeds, features.shape[0] // self._seeds), axis=2)
+        rows = jnp.arange(self._seeds)[None]
+        return {name: jnp.asarray(value, dtype=wanted.dtype)[rows, best] for name, value in self._pool.items()}
+
+    def _all(self, targets: Arrays, start: Arrays | None) -> ReachResult:
+        # Derivatives go through the last step alone.
+        still = jax.tree.map(jax.lax.stop_gradient, targets)
+        seeds = self._chosen(still)
+        if start is not None:
+            seeds = {n: s.at[:, 0].set(jax.lax.stop_gradient(start[n]).astype(s.dtype)) for n, s in seeds.items()}
+        solution: SearchEnd = jax.vmap(self._search)(still, seeds)
+        solution = jax.tree.map(jax.lax.stop_gradient, solution)
+        return jax.vmap(self._polished)(targets, solution)
+
+    def _polished(self, targets: Arrays, solution: SearchEnd) -> ReachResult:
+        """One target: a last step of Gauss and Newton where it is reached, and what there is to say."""
+        distance, angle = self._measures(solution.error)
+        reached = self._within(distance, angle)
+        e, J = self.tasks.errors(solution.x, targets)
+        open_J = jax.lax.stop_gradient(jnp.where(solution.free[None], J, 0.0))
+        G = open_J @ open_J.T
+        G = G + np.finfo(e.dtype).eps * jnp.trace(G) * np.eye(len(self.tasks.ends), dtype=e.dtype)
+        step = open_J.T @ self._solve(G, e)
+        step = jnp.where(reached, step, 0.0)
+        # Near a singular position the step may lead away: then its derivatives are kept, and it is not taken.
+        after, _ = self.tasks.errors(jax.lax.stop_gradient(self.tasks.moved(solution.x, step)), targets)
+        worse = (jnp.sum(after * after) > jnp.sum(e * e)) | ~self._within(*self._measures(after))
+        x = self.tasks.moved(solution.x, step - jax.lax.stop_gradient(jnp.where(worse, step, 0.0)))
+        distance, angle = self._measures(self.tasks.errors(x, targets)[0])
+        at_limit = ~solution.free & ~reached
+        missed = jnp.where(jnp.any(at_limit), int(ReachStatus.LIMIT), int(ReachStatus.UNREACHABLE))
+        status = jnp.where(reached, int(ReachStatus.REACHED), missed)
+        measures = (solution.slope, solution.minima, solution.seeds)
+        return ReachResult(x, status, distance, angle, at_limit, *measures, self._frames, self._joints)
+
+    def _measures(self, error: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Distances in m and angles in rad, (frames,)."""
+        distances, angles, row = list[Any](), list[Any](), 0
+        for pose in self._kinds():
+            distances.append(jnp.linalg.norm(error[row : row + 3]))
+            turn = jnp.linalg.norm(error[row + 3 : row + 6]) / self.tasks.length if pose else jnp.zeros_like(error[0])
+            angles.append(turn)
+            row += 6 if pose else 3
+        return jnp.stack(distances), jnp.stack(angles)
+
+    def _within(self, distance: jax.Array, angle: jax.Array) -> jax.Array:
+        near = jnp.all(distance <= self._options.position_tolerance)
+        return near & jnp.all(angle <= self._options.angle_tolerance)

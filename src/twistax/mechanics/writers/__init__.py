@@ -1,0 +1,1 @@
+"""Mechanisms as text: URDF and MJCF."""

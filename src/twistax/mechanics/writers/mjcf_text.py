@@ -1,0 +1,234 @@
+"""A mechanism as MJCF.
+
+A body of MJCF has mass, or something fixed to it has. So a link without mass that carries one other link, such as the
+first of a universal joint, becomes the first joint of that other body: with D the pose of the body in the frame after a
+joint, at zero, the joint stands at the origin of $D^-1$ with the axis $R_D^T a$.
+
+Source: the pages of https://mujoco.readthedocs.io, XML reference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import ModelError
+from ...system import free_name
+from ...view import Box, Capsule, Cylinder, Ellipsoid, Shape, Sphere
+from ..bodies import SpatialInertia
+from ..joints import Fixed, Free, Prismatic, Revolute, Spherical
+from ..kinematic_tree import KinematicTree
+from ..loops import Loop, Metric, PointLoop, PoseLoop
+from ..tree import Link
+from .written import Losses, child, children_of, document, limits, text
+
+_WORLD = "world"
+_ROUND_OFF = 1e-9
+_TYPES = {Revolute: "hinge", Prismatic: "slide", Spherical: "ball", Free: "free"}
+
+
+class MjcfText:
+    """Writes one mechanism. Implements `Mechanism.to_mjcf`; `text` is the file."""
+
+    def __init__(self, mechanism: KinematicTree, name: str, leave_out: Collection[str]) -> None:
+        self._mechanism, self._losses = mechanism, Losses("to_mjcf", "MJCF", leave_out)
+        self._children = children_of(mechanism)
+        root = ElementTree.Element("mujoco", model=name)
+        child(root, "compiler", angle="radian", inertiafromgeom="false")
+        child(root, "option", gravity=text(self._losses.value("gravity", mechanism.gravity)))
+        world = child(root, "worldbody")
+        self._bodies = {mechanism.base: world}
+        self._frames = set(mechanism.frames)
+        if mechanism.base != _WORLD:
+            if _WORLD in mechanism.frames:
+                raise ModelError("to_mjcf: the base of MJCF is named 'world', and so is a link.\n  fix: renamed(...)")
+            child(world, "site", name=mechanism.base)
+        self._add_shapes(world, mechanism.base, mechanism.shapes)
+        for link in self._children[mechanism.base]:
+            self._add_body(world, link)
+        self._add_equalities(child(root, "equality"))
+        self._add_actuators(child(root, "actuator"))
+        for kept in mechanism.arguments["keep"]:
+            self._losses.add("keep", kept)
+        self._losses.check()
+        self.text = document(root)
+
+    # ---- bodies ------------------------------------------------------------------------------------------------------
+
+    def _add_body(self, parent: ElementTree.Element, link: Link) -> None:
+        passed = [link]
+        while self._joins_the_next(passed[-1]):
+            passed += self._children[passed[-1].name]
+        mounts = [self._losses.value(f"the mount of link {part.name!r}", part.mount) for part in passed]
+        body = passed[-1]
+        # The pose of the body in the frame after each joint, at zero.
+        after = [np.eye(4)]
+        for T in reversed(mounts[1:]):
+            after.append(T @ after[-1])
+        at = mounts[0] @ after[-1]
+        if isinstance(link.joint, Free) and not (np.array_equal(at, np.eye(4)) and parent.tag == "worldbody"):
+            raise ModelError(
+                f"to_mjcf: the free joint {link.joint.name!r} of MJCF has no mount and stands on the base.\n"
+                "  fix: give its link the identity as mount"
+            )
+        element = child(parent, "body", name=body.name, **_placed(at))
+        self._bodies[body.name] = element
+        for part, D in zip(passed, reversed(after), strict=True):
+            self._add_joint(element, part, D, body)
+        if body.body is not None:
+            self._add_inertia(element, body.name, body.body)
+        elif body.joint.dofs and not self._has_mass(body):
+            raise ModelError(
+                f"to_mjcf: link {body.name!r} moves, and neither it nor what is fixed to it has mass, which MuJoCo "
+                "needs.\n  fix: with_inertia({...: SpatialInertia(...)})"
+            )
+        self._add_shapes(element, body.name, body.shapes)
+        for carried in self._children[body.name]:
+            self._add_body(element, carried)
+
+    def _joins_the_next(self, link: Link) -> bool:
+        """Whether the joint of a link without mass becomes one of the body that the link carries."""
+        carried = self._children[link.name]
+        alone = link.body is None and len(carried) == 1 and not link.shapes
+        return bool(alone and link.joint.dofs and carried[0].joint.dofs)
+
+    def _has_mass(self, link: Link) -> bool:
+        fixed = (part for part in self._children[link.name] if not part.joint.dofs)
+        return link.body is not None or any(self._has_mass(part) for part in fixed)
+
+    def _add_inertia(self, element: ElementTree.Element, name: str, body: SpatialInertia) -> None:
+        value, of = self._losses.value, f"link {name!r}"
+        mass, center = value(f"the mass of {of}", body.mass), value(f"the centre of mass of {of}", body.center_of_mass)
+        moments, axes = np.linalg.eigh(value(f"the inertia of {of}", body.inertia))
+        if moments[0] <= 0.0 or mass <= 0.0 or moments[2] > (moments[0] + moments[1]) * (1.0 + _ROUND_OFF):
+            raise ModelError(
+                f"to_mjcf: MuJoCo needs a positive mass and positive principal moments none of which is above the sum "
+                f"of the other two, got {float(mass)} kg and {moments.tolist()} kg m2 of {of}.\n"
+                "  fix: with_inertia({...: SpatialInertia(...)})"
+            )
+        moments[2] = min(moments[2], moments[0] + moments[1])  # of a flat body, up to rounding
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = axes * np.sign(np.linalg.det(axes)), center
+        child(element, "inertial", mass=text(mass), diaginertia=text(moments), **_placed(T))
+
+    def _add_shapes(self, element: ElementTree.Element, name: str, shapes: Any) -> None:
+        for shape in shapes:
+            solid = self._solid(shape)
+            if solid is None:
+                self._losses.add("shapes", name)
+                continue
+            rgba = text([*(part / 255.0 for part in shape.color), shape.opacity])
+            child(element, "geom", **solid, rgba=rgba, mass="0", contype="0", conaffinity="0", **_placed(shape.at))
+
+    @staticmethod
+    def _solid(shape: Shape) -> dict[str, str] | None:
+        if isinstance(shape, Box):
+            return {"type": "box", "size": text(0.5 * np.asarray(shape.lengths))}
+        if isinstance(shape, Sphere):
+            return {"type": "sphere", "size": text(shape.radius)}
+        if isinstance(shape, Ellipsoid):
+            return {"type": "ellipsoid", "size": text(shape.radii)}
+        if isinstance(shape, (Cylinder, Capsule)):
+            kind = "cylinder" if isinstance(shape, Cylinder) else "capsule"
+            return {"type": kind, "size": text([shape.radius, 0.5 * shape.length])}
+        return None
+
+    # ---- joints ------------------------------------------------------------------------------------------------------
+
+    def _add_joint(self, element: ElementTree.Element, link: Link, D: NDArray[np.float64], body: Link) -> None:
+        joint, drive, losses = link.joint, link.drive, self._losses
+        if isinstance(joint, Fixed):
+            return
+        if type(joint) not in _TYPES:
+            raise ModelError(f"to_mjcf: MJCF has no joint such as {joint!r}, of {type(joint).__name__}")
+        turned = not np.array_equal(D[:3, :3], np.eye(3))
+        if turned:  # what reads the file puts the frame between two joints in the axes of the body
+            losses.add("frames", link.name)
+        attributes: dict[str, str] = {}
+        if isinstance(joint, (Revolute, Prismatic)):
+            axis = losses.value(f"the axis of joint {joint.name!r}", joint.axis)
+            attributes["axis"] = text(D[:3, :3].T @ axis)
+        elif turned:
+            raise ModelError(f"to_mjcf: link {link.name!r} has no mass, and its ball joint is turned against the next")
+        if link is not body:
+            attributes["pos"] = text(-D[:3, :3].T @ D[:3, 3])
+        losses.unlike(link, ("friction_speed", "speed"))
+        for name, value in losses.amounts(link, ("armature", "damping", "friction", "stiffness")).items():
+            attributes["frictionloss" if name == "friction" else name] = text(value)
+        if drive.sprung and isinstance(joint, (Revolute, Prismatic)):
+            attributes["springref"] = text(losses.value(f"the rest of joint {joint.name!r}", drive.rest))
+        elif drive.sprung:
+            losses.unlike(link, ("rest",))
+        if drive.lower is not None or drive.upper is not None:
+            low, high = limits(drive)
+            if joint.dofs == 1 and low < high:
+                attributes |= {"limited": "true", "range": text([low, high])}
+            else:
+                losses.add("limits", joint.name)
+        child(element, "joint", name=joint.name, type=_TYPES[type(joint)], **attributes)
+
+    # ---- equalities and motors ---------------------------------------------------------------------------------------
+
+    def _add_equalities(self, equality: ElementTree.Element) -> None:
+        for link in self._mechanism.links:
+            if link.mimic is not None:
+                if not link.mimic.ratio:
+                    raise ModelError(f"to_mjcf: joint {link.joint.name!r} follows with the ratio 0.\n  fix: lock it")
+                polynomial = text([link.mimic.offset, link.mimic.ratio, 0.0, 0.0, 0.0])
+                child(equality, "joint", joint1=link.joint.name, joint2=link.mimic.joint, polycoef=polynomial)
+        kinds = {PointLoop: "connect", PoseLoop: "weld"}
+        if self._mechanism.loops and self._mechanism.loop_metric != Metric():
+            self._losses.add("loop_metric", "the mechanism")
+        for loop in self._mechanism.loops:
+            if type(loop) not in kinds:
+                self._losses.add("closures", loop.name)
+                continue
+            ends = {f"site{i}": self._site(loop, end) for i, end in enumerate((loop.frame, loop.other), start=1)}
+            child(equality, kinds[type(loop)], name=loop.name, **ends)
+
+    def _site(self, loop: Loop, frame: str) -> str:
+        """A new site at a frame, and its name."""
+        name = frame if frame == self._mechanism.base else self._mechanism.link(frame).name
+        if name not in self._bodies:
+            raise ModelError(
+                f"to_mjcf: {loop!r} needs the frame {name!r}, whose link has no mass and is no body of MJCF"
+            )
+        site = free_name(f"{loop.name} at {name}", self._frames)
+        self._frames.add(site)
+        child(self._bodies[name], "site", name=site)
+        return site
+
+    def _add_actuators(self, actuator: ElementTree.Element) -> None:
+        driven = set(self._mechanism.driven)
+        for link in self._mechanism.links:
+            joint, drive = link.joint, link.drive
+            least, most = drive.efforts
+            if joint.name not in driven:
+                if joint.dofs and (most is not None or drive.gear != 1.0):
+                    self._losses.add("effort" if most is not None else "gear", joint.name)
+                continue
+            attributes: dict[str, str] = {}
+            if joint.dofs > 1:
+                self._losses.unlike(link, ("gear", "effort"))
+            else:
+                gear = float(self._losses.value(f"the gear of joint {joint.name!r}", drive.gear))
+                attributes["gear"] = text(gear)
+                if least is not None and most is not None:
+                    if np.isfinite([least, most]).all() and least < most:
+                        attributes |= {"ctrllimited": "true", "ctrlrange": text([least, most])}
+                    else:
+                        self._losses.add("effort", joint.name)
+            child(actuator, "motor", joint=joint.name, **attributes)
+
+
+def _placed(T: Any) -> dict[str, str]:
+    """Position and quaternion [w, x, y, z] of a pose."""
+    from scipy.spatial.transform import Rotation  # not at import: it is large
+
+    at = np.asarray(T, dtype=np.float64)
+    x, y, z, w = Rotation.from_matrix(at[:3, :3]).as_quat()
+    return {"pos": text(at[:3, 3]), "quat": text([w, x, y, z])}

@@ -1,0 +1,122 @@
+"""What both formats need: expressions as numbers, numbers as text, and a list of what a format cannot express."""
+
+from __future__ import annotations
+
+import collections
+import sys
+from collections.abc import Collection, Iterable
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...checks import listed, short
+from ...errors import ModelError
+from ...expr import Constant, Expr, Parameter, canonicalize_all, to_expr
+from ...expr.fields import ExprLike
+from ...expr.graph import leaves_of, substitute
+from ..drives import Drive
+from ..kinematic_tree import KinematicTree
+from ..tree import Link
+
+#: Stands for a limit that is absent, where a format has none or both. Readers take it as none.
+UNLIMITED = sys.float_info.max
+#: What may be left out.
+_KINDS = (
+    "armature", "closures", "driven", "effort", "frames", "friction_speed", "gear", "gravity", "keep", "limits",
+    "loop_metric", "rest", "shapes", "speed", "stiffness",
+)  # fmt: skip
+
+
+class Losses:
+    """What a format has no words for, by kind: an error, unless the caller leaves it out.
+
+    Args:
+        owner: names the method in messages.
+        language: the format.
+        leave_out: kinds that the caller allows to be lost.
+    Raises: ModelError for a kind that is not known.
+    """
+
+    def __init__(self, owner: str, language: str, leave_out: Collection[str]) -> None:
+        self.owner, self.language = owner, language
+        self._allowed = {leave_out} if isinstance(leave_out, str) else set(leave_out)
+        self._places = collections.defaultdict[str, list[str]](list)
+        for name in sorted(self._allowed - set(_KINDS)):
+            raise ModelError(f"{owner} has nothing {name!r} to leave out; such are {listed(_KINDS, name)}")
+
+    def add(self, kind: str, place: str) -> None:
+        """Note that something at a joint, a link or a closure has no words."""
+        if kind not in self._allowed and place not in self._places[kind]:
+            self._places[kind].append(place)
+
+    def check(self) -> None:
+        """Raise ModelError where something would be lost."""
+        if self._places:
+            lines = "".join(f"\n  {kind}: of {listed(places)}" for kind, places in sorted(self._places.items()))
+            raise ModelError(
+                f"{self.owner}: {self.language} has no words for{lines}\n"
+                f"  fix: {self.owner}(leave_out={sorted(self._places)}) where the file may do without, or change it by "
+                "`replace`"
+            )
+
+    def value(self, what: str, value: ExprLike) -> NDArray[np.float64]:
+        """The numbers of an expression, with the default values of Parameters. Raises ModelError."""
+        expr = to_expr(value)
+        known: dict[str, Expr] = {}
+        for leaf in leaves_of(expr):
+            if isinstance(leaf, Parameter) and leaf.value is not None:
+                known[leaf.key()] = Constant(np.asarray(leaf.value, dtype=np.float64))
+            elif not isinstance(leaf, Constant):
+                raise ModelError(f"{self.owner}: {what} is {short(value)}, and {leaf!r} has no value")
+        (constant,) = canonicalize_all([substitute(expr, known)])
+        if not isinstance(constant, Constant):
+            raise ModelError(f"{self.owner}: {what} is no finite number: {short(value)}")
+        return np.asarray(np.add(constant.value, 0.0), dtype=np.float64)  # without negative zeros
+
+    def amounts(self, link: Link, names: Iterable[str]) -> dict[str, float]:
+        """The values of a drive that are not zero, by name."""
+        values = {
+            name: float(self.value(f"the {name} of joint {link.joint.name!r}", getattr(link.drive, name)))
+            for name in names
+        }
+        return {name: value for name, value in values.items() if value}
+
+    def unlike(self, link: Link, names: Iterable[str]) -> None:
+        """Note what a drive has beyond the default."""
+        usual = Drive()
+        for name in names:
+            if repr(getattr(link.drive, name)) != repr(getattr(usual, name)):
+                self.add(name, link.joint.name)
+
+
+def text(values: ExprLike) -> str:
+    """Numbers apart by spaces, each so that it is read back to the last bit."""
+    return " ".join(repr(float(x)) for x in np.ravel(np.asarray(values)))
+
+
+def child(parent: ElementTree.Element, tag: str, **attributes: str) -> ElementTree.Element:
+    """A new element at the end of another."""
+    return ElementTree.SubElement(parent, tag, attributes)
+
+
+def document(root: ElementTree.Element) -> str:
+    """The text of a file."""
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode", xml_declaration=False) + "\n"
+
+
+def limits(drive: Drive) -> tuple[float, float]:
+    """Both bounds of a position, `UNLIMITED` for one that is absent."""
+    return (
+        -UNLIMITED if drive.lower is None else float(drive.lower),
+        UNLIMITED if drive.upper is None else float(drive.upper),
+    )
+
+
+def children_of(mechanism: KinematicTree) -> dict[str, list[Link]]:
+    """The links on every link, and on the base."""
+    children: dict[str, list[Link]] = {name: [] for name in mechanism.frames}
+    for link in mechanism.links:
+        children[mechanism.base if link.parent is None else link.parent].append(link)
+    return children

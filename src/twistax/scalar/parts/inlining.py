@@ -1,0 +1,56 @@
+"""Functions of JAX with what they call written out: what is left are operations, loops and branches."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from ...jax_inside import ClosedJaxpr, Literal, alone, closed, expansion, jaxpr_as_fun
+from ..array_primitive import written_out
+
+#: Calls that are inlined once derivatives are taken.
+_CALLS = {"jit": "jaxpr", "remat2": "jaxpr", "custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr"}
+
+
+def inlined(program: ClosedJaxpr) -> ClosedJaxpr:
+    """The same function with called functions written out. Derivatives of their own are lost."""
+    avals: list[Any] = [v.aval for v in program.jaxpr.invars]
+    shapes = (jax.ShapeDtypeStruct(a.shape, a.dtype) for a in avals)
+    return jax.make_jaxpr(functools.partial(_evaluate, program))(*shapes)
+
+
+def _evaluate(program: ClosedJaxpr, *arguments: Any) -> list[Any]:
+    jaxpr = program.jaxpr
+    values = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*program.consts, *arguments], strict=True))
+    for eqn in jaxpr.eqns:
+        inside, operands = _called(eqn)
+        if inside is None:
+            variables = list(dict.fromkeys(v for v in eqn.invars if not isinstance(v, Literal)))
+            outputs = jaxpr_as_fun(alone(jaxpr, eqn, variables))(*(values[v] for v in variables))
+        else:
+            outputs = _evaluate(inside, *(value_of(v, values) for v in operands))
+        values.update(zip(eqn.outvars, outputs, strict=True))
+    results: list[Any] = jaxpr.outvars
+    return [value_of(v, values) for v in results]
+
+
+def _called(eqn: Any) -> tuple[ClosedJaxpr | None, list[Any]]:
+    """What an equation calls, and the operands of that; None: it is an operation, a loop or a branch."""
+    name, p = eqn.primitive.name, eqn.params
+    if name == "custom_linear_solve":
+        counts = p["const_lengths"]
+        skip = counts.matvec + counts.vecmat
+        return closed(p["jaxprs"].solve), [*eqn.invars[skip : skip + counts.solve], *eqn.invars[sum(counts) :]]
+    inside = written_out(eqn)
+    if inside is None:
+        inside = closed(p[_CALLS[name]]) if name in _CALLS else expansion(eqn)
+    return inside, eqn.invars
+
+
+def value_of(v: Any, values: dict[Any, Any]) -> Any:
+    """The value of an operand, a variable or a number, with its type."""
+    aval: Any = getattr(v, "aval", None)
+    return jnp.asarray(v.val, aval.dtype) if isinstance(v, Literal) else values[v]

@@ -1,0 +1,1 @@
+"""Compiled systems as functional mock-up units, FMI 3.0."""

@@ -1,0 +1,88 @@
+"""The first node of a plan: where its states stand, and how far a measured state is from it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy import ndarray as Array
+
+from ...checks import listed, reals, short
+from ...errors import InputError, ShapeError
+from ...integrators.options import need_element
+from ...solver.kernels import Argument
+from ...solver.prepared import PreparedSolve
+from ...system import name_of
+from ..transcription.staged import Staged
+
+
+class FirstNode:
+    """Reads measured states, and writes them into the first node of a plan.
+
+    Args:
+        staged: of one phase.
+        dynamics: of that phase.
+
+    Attributes:
+        size: numbers of the node's point.
+        n: of its tangents.
+    """
+
+    def __init__(self, staged: Staged, dynamics: Any) -> None:
+        point = staged.parts[0].point
+        self.size, self.n = int(point.size), dynamics.group.dimension
+        self._states = {}
+        for state in dynamics.states:
+            places, columns = point.places(state.name), dynamics.group.slices[state.name]
+            here = slice(int(places[0]), int(places[-1]) + 1) if len(places) else slice(0, 0)
+            self._states[state.name] = (here, columns, state.shape, state.group)
+        self._flat = all(state.group.flat for state in dynamics.states)
+        self._gap = staged.parts[0].phase.kernels.gap.kernels[0]
+
+    def read(self, x: Mapping[Any, Any]) -> Array:
+        """A measured state as a point.
+
+        Raises:
+            InputError, ShapeError: a state is missing, has another shape or numbers that are not finite, or is no
+                element of its group.
+        """
+        if not isinstance(x, Mapping) or len(x) != len(self._states):
+            raise InputError(f"feedback expects a value for every state: {listed(self._states)}; got {short(x)}")
+        base = np.empty(self.size)
+        for key, value in x.items():
+            name = name_of(key)
+            if name not in self._states:
+                raise InputError(f"feedback: unknown state {name!r}; the states are: {listed(self._states, name)}")
+            places, _, shape, group = self._states[name]
+            array = value if type(value) is np.ndarray and value.dtype == float else _numbers(name, value)
+            if array.shape != shape:
+                raise ShapeError(f"feedback: x[{name!r}] expects shape {shape}, got {array.shape}")
+            if not np.isfinite(array).all():
+                raise InputError(f"feedback: x[{name!r}] expects finite numbers, got {short(array)}")
+            need_element(name, group, array, "feedback: x")
+            base[places] = array.ravel()
+        return base
+
+    def point(self, solve: PreparedSolve) -> Array:
+        """The first node's point, a copy."""
+        return solve.z[: self.size].copy()
+
+    def write(self, solve: PreparedSolve, base: Array) -> None:
+        """Fix the first node at a point."""
+        solve.z[: self.size] = base
+        for places, columns, _, group in self._states.values():  # points of manifolds have the coordinates zero
+            at = base[places] if group.flat else 0.0
+            solve.v[columns] = solve.lower[columns] = solve.upper[columns] = at
+
+    def difference(self, solve: PreparedSolve, base: Array) -> Array:
+        """Log(x_0^-1 x) of a point x and the first node of the plan."""
+        here = solve.z[: self.size]
+        if self._flat:
+            return base - here
+        arguments = {Argument.Z: np.zeros((1, self.n)), Argument.BASE: base[None], Argument.TARGET: here[None]}
+        return self._gap(1, self.n, arguments)[0]
+
+
+def _numbers(name: str, value: Any) -> Array:
+    return np.asarray(reals(f"feedback: x[{name!r}]", value, InputError), float)

@@ -1,0 +1,183 @@
+"""Inverse kinematics: poses that are reached, limits that stop it, distances that are left, and derivatives."""
+
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from joints_of_every_kind import mimicking_tree
+from mechanics_oracles import pose
+
+import twistax as tx
+from twistax import mechanics
+from twistax.errors import InputError, ModelError
+from twistax.mechanics import Drive, Link, Mechanism, Mimic, ReachStatus, joints, reach
+from twistax.mechanics.chain_models import equal_links
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+Z = (0.0, 0.0, 1.0)
+
+
+def planar_arm(*limits: tuple[float, float]) -> Mechanism:
+    """Links of 1 m in a plane, each with limits, and a tip."""
+
+    def link(i, low, high):
+        return Link(
+            joints.Revolute(f"joint{i}", Z),
+            None,
+            tx.pose(position=[float(i > 0), 0.0, 0.0]),
+            parent=f"joint{i - 1}" if i else None,
+            drive=Drive(lower=low, upper=high),
+        )
+
+    tip = Link(joints.Fixed("tip"), None, tx.pose(position=[1.0, 0.0, 0.0]), parent=f"joint{len(limits) - 1}")
+    return Mechanism([*(link(i, *ends) for i, ends in enumerate(limits)), tip])
+
+
+def panda_poses(count: int) -> tuple[Mechanism, np.ndarray, np.ndarray]:
+    """The Panda, random positions within its limits, and the poses of its flange there."""
+    arm, rng = mechanics.load(EXAMPLES / "panda.urdf"), np.random.default_rng(0)
+    q = rng.uniform(arm.q.min, arm.q.max, size=(count, 7))
+    flange = tx.lower(arm.pose("flange"))
+    return arm, q, np.asarray(jax.jit(jax.vmap(lambda value: flange(0.0, {"q": value})))(q))
+
+
+def most_are_reached(count: int, share: float) -> None:
+    pin = pytest.importorskip("pinocchio", reason="pinocchio is not installed (extra twistax[peers])")
+    arm, _, T = panda_poses(count)
+    result = reach(arm, {"flange": T})
+    status = np.asarray(result.status)
+    assert np.mean(status == ReachStatus.REACHED) >= share
+    model = pin.buildModelFromUrdf(str(EXAMPLES / "panda.urdf"))
+    data, frame = model.createData(), model.getFrameId("flange", pin.FrameType.BODY)
+    for i in np.flatnonzero(status == ReachStatus.REACHED)[:200]:
+        q = np.asarray(result.x["q"][i])
+        pin.framesForwardKinematics(model, data, q)
+        assert np.abs(data.oMf[frame].homogeneous - T[i]).max() < 2e-5
+        assert np.all((q >= model.lowerPositionLimit) & (q <= model.upperPositionLimit))
+    missed = np.flatnonzero(status != ReachStatus.REACHED)
+    assert all(max(result.distance[i, 0], result.angle[i, 0]) > 1e-5 for i in missed)
+    assert all((status[i] == ReachStatus.LIMIT) == bool(result.stopped_by(i)) for i in missed)
+
+
+def test_poses_of_a_panda() -> None:
+    most_are_reached(300, 0.99)
+
+
+def test_ten_thousand_poses_of_a_panda() -> None:
+    most_are_reached(10_000, 0.995)
+
+
+def test_a_limit_stops_the_nearest_position() -> None:
+    arm = planar_arm((0.0, 1.0))
+    target = np.array([np.cos(2.0), np.sin(2.0), 0.0])
+    result = reach(arm, {"tip": target})
+    assert result.status == ReachStatus.LIMIT
+    assert result.stopped_by() == ("joint0",)
+    assert np.allclose(result.x["q"], [1.0])
+    assert np.allclose(result.distance, 2.0 * np.sin(0.5))  # a chord
+    inside = reach(arm, {"tip": np.array([np.cos(0.7), np.sin(0.7), 0.0])})
+    assert inside.status == ReachStatus.REACHED
+    assert inside.stopped_by() == ()
+    assert np.allclose(inside.x["q"], [0.7])
+
+
+def test_what_is_too_far_is_a_minimum_of_all_seeds() -> None:
+    arm = planar_arm((-3.0, 3.0), (-3.0, 3.0))
+    targets = np.array([[2.0, 1.0, 0.0], [0.0, 2.5, 0.0], [1.0, 1.0, 0.5], [1.2, 0.3, 0.0]])
+    result = reach(arm, {"tip": targets})
+    assert np.asarray(result.status).tolist() == [ReachStatus.UNREACHABLE] * 3 + [ReachStatus.REACHED]
+    assert np.allclose(result.distance[:3, 0], [np.sqrt(5.0) - 2.0, 0.5, 0.5], atol=1e-7)
+    assert np.all(np.asarray(result.slope)[:3] < 1e-3)
+    assert np.all(np.asarray(result.minima)[:3] >= 4)
+    q = np.asarray(result.x["q"])
+    x, y = np.cos(q[:, 0]) + np.cos(q.sum(axis=1)), np.sin(q[:, 0]) + np.sin(q.sum(axis=1))
+    assert np.allclose([x[3], y[3]], targets[3, :2], atol=1e-5)
+
+
+def test_joints_on_groups_and_several_frames() -> None:
+    tree = mimicking_tree().mechanism.replace(gravity=np.zeros(3))
+    rng = np.random.default_rng(2)
+    x = {
+        "q": rng.uniform(-1.0, 1.0, size=tree.q["q"].shape),
+        "root_position": pose(rng),
+        "ball_position": pose(rng)[:3, :3],
+    }
+    frames = tx.lower({"tool": tree.pose("tool"), "hinge": tree.pose("hinge")})
+    T = {name: np.asarray(value) for name, value in frames(0.0, x).items()}
+    result = reach(tree, {"tool": T["tool"], "hinge": T["hinge"][:3, 3]}, seeds=4, candidates=8)
+    assert result.status == ReachStatus.REACHED
+    assert result.x.keys() == x.keys()
+    there = frames(0.0, result.x)
+    assert np.allclose(there["tool"], T["tool"], atol=1e-6)
+    assert np.allclose(there["hinge"][:3, 3], T["hinge"][:3, 3], atol=1e-6)
+    ball = np.asarray(result.x["ball_position"])
+    assert np.allclose(ball.T @ ball, np.eye(3))
+
+
+def test_the_limits_of_a_follower_are_those_of_its_leader() -> None:
+    slide = Link(joints.Prismatic("slide", Z), None, np.eye(4), drive=Drive(lower=-1.0, upper=1.0))
+    follower = Link(
+        joints.Prismatic("other", Z),
+        None,
+        np.eye(4),
+        mimic=Mimic("slide", ratio=-2.0),
+        drive=Drive(lower=-1.0, upper=0.5),
+    )
+    result = reach(Mechanism([slide, follower]), {"slide": np.array([[0.0, 0.0, z] for z in (0.9, -0.9, 0.3)])})
+    assert np.allclose(result.x["q"][:, 0], [0.5, -0.25, 0.3], atol=1e-6)
+    assert np.asarray(result.status).tolist() == [ReachStatus.LIMIT, ReachStatus.LIMIT, ReachStatus.REACHED]
+
+
+def test_derivatives_are_those_of_the_solution() -> None:
+    arm = planar_arm((-3.0, 3.0), (0.1, 3.0))  # one solution for a target
+    target = np.array([1.2, 0.3, 0.0])
+    position = jax.jit(lambda p: reach(arm, {"tip": p}).x["q"])
+    J = jax.jacrev(position)(target)
+    h = 1e-5
+    for i in range(2):
+        unit = np.eye(3)[i]
+        assert np.allclose(J[:, i], (position(target + h * unit) - position(target - h * unit)) / (2.0 * h), atol=1e-6)
+    assert np.allclose(jax.jacfwd(position)(target), J)
+    both = jax.vmap(position)(jnp.stack([target, target + 0.1]))
+    assert np.allclose(both[0], position(target), atol=1e-6)
+
+
+def test_the_first_seed_is_the_start() -> None:
+    arm, target = planar_arm((-3.0, 3.0), (-3.0, 3.0)), np.array([1.2, 0.3, 0.0])
+    up, down = (reach(arm, {"tip": target}, start={"q": np.array([0.1, elbow])}).x["q"] for elbow in (1.5, -1.5))
+    assert up[1] > 0.0 > down[1]
+    assert np.allclose(up[1], -down[1])
+    many = reach(arm, {"tip": np.tile(target, (2, 1))}, start={"q": np.array([[0.1, 1.5], [0.1, -1.5]])}, seeds=1)
+    assert np.allclose(many.x["q"], np.stack([up, down]), atol=1e-6)
+
+
+def test_precision_is_that_of_the_target() -> None:
+    result = reach(planar_arm((-3.0, 3.0), (-3.0, 3.0)), {"tip": np.array([1.2, 0.3, 0.0], dtype=np.float32)})
+    assert result.x["q"].dtype == np.float32
+    assert result.status == ReachStatus.REACHED
+
+
+def test_what_cannot_be_asked_for(unchecked: None) -> None:
+    arm, T = equal_links(2), np.eye(4)
+    wrong: list[tuple[Any, str]] = [
+        ({"hand": T}, "no frame 'hand'"),
+        ({}, "expects targets by the names of frames"),
+        ({"joint1": np.eye(3)[0, :2]}, r"\(\.\.\., 4, 4\) or \(\.\.\., 3\)"),
+        ({"joint1": np.full((4, 4), np.nan)}, "finite targets"),
+        ({"joint1": np.diag([1.0, 1.0, -1.0, 1.0])}, "expects poses"),
+        ({"joint1": np.zeros((2, 3)), "joint0": T}, "the same leading axes"),
+    ]
+    for targets, message in wrong:
+        with pytest.raises((InputError, ModelError), match=message):
+            reach(arm, targets)
+    with pytest.raises(InputError, match="seeds"):
+        reach(arm, {"joint1": T}, seeds=0)
+    with pytest.raises(InputError, match="length"):
+        reach(arm, {"joint1": T}, length=0.0)
+    with pytest.raises(InputError, match="start expects 'q'"):
+        reach(arm, {"joint1": T}, start={"x": np.zeros(2)})
+    with pytest.raises(InputError, match="start expects 'q' with shape"):
+        reach(arm, {"joint1": T}, start={"q": np.zeros(3)})
