@@ -36,7 +36,7 @@ from .errors import (
 from .expr import *  # noqa: F403  the node classes; expr.__all__ lists them
 from .expr import tables
 from .expr.lie import pose
-from .groups import ANGULAR_FIRST, LINEAR_FIRST, SE3, SO3, Euclidean, ExtendedPose, Order, Product, tangent_grad
+from .groups import ANGULAR_FIRST, LINEAR_FIRST, SE3, SO3, Euclidean, Order, Product, tangent_grad
 from .kinds import FreeVector, Momentum, Point, Twist, Wrench
 from .system import System
 
@@ -57,6 +57,7 @@ if TYPE_CHECKING:  # what `_LATER` loads, for editors and type checkers
     from .estimation import Measurement
     from .expr.functions.function import Function
     from .expr.functions.parameter_tree import ParameterTree
+    from .groups.extended.extended_pose import ExtendedPose
     from .integrators import (
         RKMK,
         AtStart,
@@ -127,6 +128,7 @@ _LATER = {
         "simulator",
     ),
     ".expr.functions.function": ("Function",),
+    ".groups.extended.extended_pose": ("ExtendedPose",),
     ".expr.functions.parameter_tree": ("ParameterTree",),
     ".scalar.backends": ("JAX", "XLA"),
     ".scalar.fast": ("fast",),

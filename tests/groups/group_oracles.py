@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.linalg import block_diag, expm
 
+import twistax as tx
 from oracles import skew
 from registered import concrete_classes
 from twistax.groups import (
@@ -10,7 +11,6 @@ from twistax.groups import (
     SE3,
     SO3,
     Euclidean,
-    ExtendedPose,
     Group,
     Product,
     SpecialEuclidean,
@@ -42,7 +42,7 @@ def hat(group, xi):
     if isinstance(group, SpecialEuclidean):
         v, w = (xi[3:], xi[:3]) if group.order == ANGULAR_FIRST else (xi[:3], xi[3:])
         return np.block([[skew(w), v[:, None]], [np.zeros((1, 4))]])
-    if isinstance(group, ExtendedPose):
+    if isinstance(group, tx.ExtendedPose):
         columns = xi[3:].reshape(-1, 3).T
         return np.block([[skew(xi[:3]), columns], [np.zeros((columns.shape[1], 3 + columns.shape[1]))]])
     if isinstance(group, Euclidean):

@@ -2,7 +2,6 @@
 
 from twistax.groups import se3, so3
 from twistax.groups.euclidean import Euclidean
-from twistax.groups.extended_pose import ExtendedPose
 from twistax.groups.group import ElementPart, Group
 from twistax.groups.pose import euler, pose, quaternion, quaternion_product, rotation_from_quaternion
 from twistax.groups.product import Product
