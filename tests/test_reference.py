@@ -39,7 +39,9 @@ NO_ERRORS = {
     "users get these and do not make them": """
         AtStart Between Crossings Dynamics Mode Order PhasedSolution Result columns.Column Simulator
         estimation.Consistency estimation.Estimate estimation.FilterRun estimation.Innovations estimation.Observability
-        estimation.Prediction estimation.Smoothed estimation.Update estimation.Verdict Solution Statistics
+        estimation.Prediction estimation.Smoothed estimation.Update estimation.Verdict estimation.AllanVariance
+        estimation.GroupAffinity estimation.InertialState estimation.Invariance estimation.PreintegratedImu
+        estimation.BatchEstimate Solution Statistics
         Sweep Trim charts.Coordinates diffrax.AmbientTerm diffrax.LieController diffrax.LieTerm mechanics.DaveModel
         mechanics.BaseParameters mechanics.GivenForces mechanics.ReachResult mechanics.ReachStatus mechanics.Regressor
         mechanics.joints.Screws mechanics.environment.earth.Geodetic mechanics.flight.AirData

@@ -57,6 +57,7 @@ if TYPE_CHECKING:  # what `_LATER` loads, for editors and type checkers
     from .estimation import Measurement
     from .expr.functions.function import Function
     from .expr.functions.parameter_tree import ParameterTree
+    from .groups.extended.extended_pose import ExtendedPose
     from .integrators import (
         RKMK,
         AtStart,
@@ -99,15 +100,15 @@ __version__ = "0.2.0.dev0"
 # fmt: off
 __all__ = [
     "ANGULAR_FIRST", "LINEAR_FIRST", "RKMK", "SE3", "SO3", "XLA", "JAX", "AtStart", "Between", "CommutatorFree",
-    "Crossings", "Dynamics", "EstimationError", "Euclidean", "Event", "FirstOrderHold", "FreeBody", "FreeParticle",
-    "FreeVector", "Function", "ImmutableError", "ImplicitRKMK", "InputError", "IntegrationError", "KindError",
-    "Magnus", "Maximize", "Measurement", "Minimize", "Mode", "ModelError", "Momentum", "Native", "OperationError",
-    "Order", "OrderError", "ParameterTree", "Phase", "PhasedSolution", "PiecewisePolynomial", "Point", "Product",
-    "Result", "ShapeError", "Simulator", "Solution", "Splitting", "Statistics", "StepControl", "Sweep", "System",
-    "TrajectoryError", "Trim", "Twist", "TwistaxError", "Wrench", "ZeroOrderHold", "charts", "columns", "compile",
-    "compositions", "diffrax", "estimation", "fast", "integrate", "integrate_phases", "join", "kinds", "lie",
-    "linalg", "load", "lower", "mechanics", "pose", "repeat", "simulator", "spatial", "sweep", "tableaus", "tables",
-    "tangent_grad", "testing", "trajectory", "trim", "units", "view",
+    "Crossings", "Dynamics", "EstimationError", "Euclidean", "Event", "ExtendedPose", "FirstOrderHold", "FreeBody",
+    "FreeParticle", "FreeVector", "Function", "ImmutableError", "ImplicitRKMK", "InputError", "IntegrationError",
+    "KindError", "Magnus", "Maximize", "Measurement", "Minimize", "Mode", "ModelError", "Momentum", "Native",
+    "OperationError", "Order", "OrderError", "ParameterTree", "Phase", "PhasedSolution", "PiecewisePolynomial",
+    "Point", "Product", "Result", "ShapeError", "Simulator", "Solution", "Splitting", "Statistics", "StepControl",
+    "Sweep", "System", "TrajectoryError", "Trim", "Twist", "TwistaxError", "Wrench", "ZeroOrderHold", "charts",
+    "columns", "compile", "compositions", "diffrax", "estimation", "fast", "integrate", "integrate_phases", "join",
+    "kinds", "lie", "linalg", "load", "lower", "mechanics", "pose", "repeat", "simulator", "spatial", "sweep",
+    "tableaus", "tables", "tangent_grad", "testing", "trajectory", "trim", "units", "view",
 ]
 # fmt: on
 __all__ += expr.__all__
@@ -127,6 +128,7 @@ _LATER = {
         "simulator",
     ),
     ".expr.functions.function": ("Function",),
+    ".groups.extended.extended_pose": ("ExtendedPose",),
     ".expr.functions.parameter_tree": ("ParameterTree",),
     ".scalar.backends": ("JAX", "XLA"),
     ".scalar.fast": ("fast",),

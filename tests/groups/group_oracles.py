@@ -3,9 +3,19 @@
 import numpy as np
 from scipy.linalg import block_diag, expm
 
+import twistax as tx
 from oracles import skew
 from registered import concrete_classes
-from twistax.groups import ANGULAR_FIRST, SE3, SO3, Euclidean, Group, Product, SpecialEuclidean, SpecialOrthogonal
+from twistax.groups import (
+    ANGULAR_FIRST,
+    SE3,
+    SO3,
+    Euclidean,
+    Group,
+    Product,
+    SpecialEuclidean,
+    SpecialOrthogonal,
+)
 from twistax.groups.power import Power
 
 #: Every class of groups of the package, as it makes examples of itself, and products of all kinds.
@@ -32,6 +42,9 @@ def hat(group, xi):
     if isinstance(group, SpecialEuclidean):
         v, w = (xi[3:], xi[:3]) if group.order == ANGULAR_FIRST else (xi[:3], xi[3:])
         return np.block([[skew(w), v[:, None]], [np.zeros((1, 4))]])
+    if isinstance(group, tx.ExtendedPose):
+        columns = xi[3:].reshape(-1, 3).T
+        return np.block([[skew(xi[:3]), columns], [np.zeros((columns.shape[1], 3 + columns.shape[1]))]])
     if isinstance(group, Euclidean):
         return translation(xi)
     if isinstance(group, Power):

@@ -39,3 +39,52 @@ errors = 0.3 * np.random.default_rng(0).normal(size=(200, 50))  # of 200 runs at
 print(tx.estimation.consistency(errors**2 / 0.3**2, freedom=1))  # the covariance is that of the errors
 verdict = tx.estimation.consistency(errors**2 / 0.2**2, freedom=1).verdict  # the filter claims less than there is
 verdict
+
+# tx.estimation.SquareRootKalman
+single = tx.estimation.SquareRootKalman(cart, [ranging])
+run = single.run({"range": (ts, [0.1, 1.2, 1.9, 3.1, 4.0])}, {"p": np.float32(0.0), "v": np.float32(0.0)}, P0=1e4)
+run.P.dtype, run.deviations()["v"][-1]
+
+# tx.estimation.InvariantKalman tx.estimation.Invariance tx.estimation.GroupAffinity tx.estimation.group_affinity
+R = tx.State("R", group=tx.SO3)
+gyro = tx.Control("gyro", shape=(3,)) + tx.Noise("n", shape=(3,), density=1e-3)
+attitude = tx.compile(tx.System(rates={R: gyro}))
+field = tx.Measurement("field", R.T @ np.array([0.3, 0.0, 0.9]), covariance=1e-4)
+kalman = tx.estimation.InvariantKalman(attitude, [field], invariance=tx.estimation.Invariance.RIGHT)
+print(kalman.affinity())
+print(tx.estimation.group_affinity(tx.compile(tx.System(rates={p: -(p**2)}))))
+
+# tx.estimation.Preintegration tx.estimation.PreintegratedImu tx.estimation.InertialState
+imu = tx.estimation.Preintegration(gyro=2e-4, accelerometer=2e-3)
+rates, forces = np.tile([0.0, 0.0, 0.5], (100, 1)), np.tile([0.1, 0.0, 9.81], (100, 1))  # rad/s, m/s2
+relative = imu.integrate(rates, forces, 0.01)  # one second
+start = tx.estimation.InertialState(np.eye(3), np.zeros(3), np.zeros(3))
+end = relative.predict(start, gravity=np.array([0.0, 0.0, -9.81]))
+end.position, relative.corrected(np.array([0.0, 0.0, 0.01, 0.0, 0.0, 0.0])).rotation
+
+# tx.estimation.allan tx.estimation.AllanVariance
+rng = np.random.default_rng(0)
+rates = 2e-3 / np.sqrt(0.01) * rng.normal(size=100_000) + 5e-4 * np.sqrt(0.01) * rng.normal(size=100_000).cumsum()
+variance = tx.estimation.allan(rates, 0.01)
+variance.density, variance.walk  # of the white noise and of the Noise that drives the bias
+
+# tx.estimation.FixedLagSmoother
+lagged = run.smooth(tx.estimation.FixedLagSmoother(lag=2))
+lagged.xs["v"]
+
+# tx.estimation.BatchSmoother tx.estimation.BatchEstimate tx.estimation.HuberLoss tx.estimation.CauchyLoss
+losses = {"range": tx.estimation.HuberLoss()}  # or CauchyLoss()
+batch = tx.estimation.BatchSmoother(cart, [ranging], losses=losses)
+estimate = batch.run({"range": (ts, [0.1, 1.2, 9.0, 3.1, 4.0])}, {"p": 0.0, "v": 0.0}, P0=1.0)
+estimate.xs["p"], estimate.weights["range"]  # the third range hardly counts
+
+# tx.estimation.RobustLoss
+isinstance(tx.estimation.CauchyLoss(2.0), tx.estimation.RobustLoss)
+
+# tx.estimation.Trapezoidal tx.estimation.VanLoan
+rules = [tx.estimation.VanLoan(), tx.estimation.Trapezoidal()]
+filters = [tx.estimation.ErrorStateKalman(cart, [ranging], noise=rule) for rule in rules]
+[one.predict(0.0, {"p": 0.0, "v": 0.0}, 0.0, h=0.1).P[0, 0] for one in filters]  # h^3 / 3 and h^3 / 2
+
+# tx.estimation.NoiseDiscretization
+all(isinstance(rule, tx.estimation.NoiseDiscretization) for rule in rules)

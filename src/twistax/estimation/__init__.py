@@ -4,15 +4,25 @@ from .consistency import Consistency, Verdict, consistency
 from .error_state_kalman import ErrorStateKalman
 from .filter import Estimate, Filter, Prediction
 from .filter_run import FilterRun, Innovations
+from .imu.allan import AllanVariance, allan
+from .imu.preintegration import InertialState, PreintegratedImu, Preintegration
+from .invariant_kalman import GroupAffinity, Invariance, InvariantKalman, group_affinity
 from .measurement import Measurement
 from .observability import Observability
-from .smoother import RauchTungStriebel, Smoothed
+from .process_noise import NoiseDiscretization, Trapezoidal, VanLoan
+from .smoothers.batch_smoother import BatchEstimate, BatchSmoother
+from .smoothers.robust_losses import CauchyLoss, HuberLoss, RobustLoss
+from .smoothers.smoother import FixedLagSmoother, RauchTungStriebel, Smoothed
+from .square_root_kalman import SquareRootKalman
 from .unscented_kalman import UnscentedKalman
 from .update import Update
 
 # fmt: off
 __all__ = [
-    "Consistency", "ErrorStateKalman", "Estimate", "Filter", "FilterRun", "Innovations", "Observability",
-    "Prediction", "RauchTungStriebel", "Smoothed", "UnscentedKalman", "Update", "Verdict", "consistency",
+    "AllanVariance", "BatchEstimate", "BatchSmoother", "CauchyLoss", "Consistency", "ErrorStateKalman", "Estimate",
+    "Filter", "FilterRun", "FixedLagSmoother", "GroupAffinity", "HuberLoss", "InertialState", "Innovations",
+    "Invariance", "InvariantKalman", "NoiseDiscretization", "Observability", "Prediction", "PreintegratedImu",
+    "Preintegration", "RauchTungStriebel", "RobustLoss", "Smoothed", "SquareRootKalman", "Trapezoidal",
+    "UnscentedKalman", "Update", "VanLoan", "Verdict", "allan", "consistency", "group_affinity",
 ]
 # fmt: on

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 import jax
+import numpy as np
 
 from ..checks import callable_with
 from ..errors import ModelError
 from ..groups import Product
 from ..system.dynamics import Dynamics
+from ..system.export import CFiles
 from .filter import Filter, Prediction
 from .measurement import Measurement
-from .stochastic_model import Point
-from .update import Update, linear_update, symmetric
+from .process_noise import NoiseDiscretization
+from .stochastic_model import OperatingPoint
+from .update import LinearMeasurement, Reset, Update, linear_update, symmetric
 
 
 class ErrorStateKalman(Filter):
@@ -37,6 +41,7 @@ class ErrorStateKalman(Filter):
         max_step: the longest step of a prediction in s; one step between two times if left out.
         gate: a probability. A measurement is used only if its normalised innovation squared lies below that quantile of
             chi-square.
+        noise: how continuous noise becomes the covariance of a step: `VanLoan()`, the default, or `Trapezoidal()`.
         reset: (group, d) -> (n, n), the transformation of covariances to the new state; the default is
             `group.right_jacobian(d)`, which is exact to first order.
     Raises:
@@ -57,18 +62,55 @@ class ErrorStateKalman(Filter):
         method: Any = None,
         max_step: float | None = None,
         gate: float | None = None,
-        reset: Callable[[Product, jax.Array], jax.Array] = Product.right_jacobian,
+        noise: NoiseDiscretization | None = None,
+        reset: Reset = Product.right_jacobian,
     ) -> None:
-        super().__init__(dynamics, measurements, method=method, max_step=max_step, gate=gate)
+        super().__init__(dynamics, measurements, method=method, max_step=max_step, gate=gate, noise=noise)
         callable_with("reset", reset, ("group", "d"), ModelError)
         self.reset = reset
 
-    def propagated(self, point: Point, P: jax.Array, h: jax.Array) -> Prediction:
+    def propagated(self, point: OperatingPoint, P: jax.Array, h: jax.Array) -> Prediction:
         x, transition, Q = self.model.step(point, h)
         return Prediction(x, symmetric(transition @ P @ transition.T + Q), transition)
 
-    def corrected(self, name: str, point: Point, P: jax.Array, z: jax.Array, limit: float | None) -> Update:
+    def corrected(self, name: str, point: OperatingPoint, P: jax.Array, z: jax.Array, limit: float | None) -> Update:
         measured = self.model.measurements[name].group
         value, H, R = self.model.sensitivity(name, point)
-        residual = measured.difference(value, z)
-        return linear_update(self.model.group, point.x, P, residual, H, R, limit, self.reset)
+        return self.after(LinearMeasurement(point.x, measured.difference(value, z), H, R), P, limit)
+
+    def to_c(
+        self,
+        directory: str | Path,
+        *,
+        name: str = "kalman",
+        dtype: Any = np.float64,
+        tolerance: float | None = None,
+    ) -> CFiles:
+        """Write C99 code: `name.h`, which tells the call convention, `name.c`, and `name_test.c` with reference values.
+
+        `name_predict` takes time, states, controls, parameters, P and the length of the step h, and gives the states
+        and P after it. `name_update_gps` takes the value of the measurement "gps" and gives states, P and the
+        normalised innovation squared; beyond the gate states and P stay. They are `predict` and `update` of this
+        filter, allocate nothing and need libm only. Of P the lower triangle is read. The filter needs
+        `noise=tx.estimation.Trapezoidal()`.
+
+        Args:
+            directory: where to; made if it is not there.
+            name: of the files, and what the names of all functions begin with.
+            dtype: float64 or float32, the numbers of the code, whatever JAX's x64 switch says.
+            tolerance: of the comparison in the test, relative to the largest entry of a function; 1e-10, or 1e-4 for
+                float32.
+        Returns:
+            The paths: `header`, `source`, `test`.
+        Raises:
+            ModelError: a part has no form in scalars, as the exponential of `VanLoan()`; two names become one in C.
+            InputError: a name or type that C has not; the directory cannot be written to, or holds other files of
+                those names.
+        """
+        from .filter_code import write_filter
+
+        return write_filter(self, directory, name=name, dtype=dtype, tolerance=tolerance)
+
+    def after(self, measured: LinearMeasurement, P: jax.Array, limit: float | None) -> Update:
+        """The estimate after a linearised measurement."""
+        return linear_update(self.model.group, measured, P, limit, self.reset)

@@ -18,8 +18,9 @@ from ..system.dynamics import Arrays, Dynamics
 from ..system.inputs import Values, precision
 from .filter_run import FilterRun, Innovations
 from .measurement import Measurement, check_definite
-from .records import Grid, Records, controls_on, grid_of, jumps_of
-from .stochastic_model import Point, StochasticModel
+from .process_noise import NoiseDiscretization
+from .records import Records, Timeline, controls_on, jumps_of, timeline_of
+from .stochastic_model import OperatingPoint, StochasticModel
 from .update import Update
 
 
@@ -38,6 +39,18 @@ class Prediction(NamedTuple):
     transition: jax.Array
 
 
+class RunStages(NamedTuple):
+    """The arguments of a run: times (k,), lengths hs of the intervals that end there, their controls, and the start."""
+
+    timeline: Timeline
+    ts: jax.Array
+    hs: jax.Array
+    controls: Arrays
+    x0: Arrays
+    P0: jax.Array
+    params: Arrays
+
+
 class Filter(ABC):
     """A filter for a compiled system with noise and measurements.
 
@@ -48,6 +61,7 @@ class Filter(ABC):
         max_step: the longest step of a prediction in s; one step between two times of a run if left out.
         gate: a probability: a measurement is used only if its normalised innovation squared is below that quantile of
             chi-square; all are used if left out.
+        noise: how continuous noise becomes the covariance of a step: `VanLoan()`, the default, or `Trapezoidal()`.
     Raises:
         ModelError: two measurements of one name, a state or control that the system does not have, a noise both in
             rates and in measurements, a gate outside of (0, 1).
@@ -61,24 +75,33 @@ class Filter(ABC):
         method: Any = None,
         max_step: float | None = None,
         gate: float | None = None,
+        noise: NoiseDiscretization | None = None,
     ) -> None:
-        self.model = StochasticModel(dynamics, measurements, method)
+        self.model = StochasticModel(dynamics, measurements, method, noise)
         if max_step is not None:
             number("max_step", max_step, "a positive number of s", lambda h: h > 0.0, ModelError)
         if gate is not None:
             number("gate", gate, "a probability between 0 and 1", lambda p: 0.0 < p < 1.0, ModelError)
         self.max_step, self.gate = max_step, gate
-        self._limits = {name: _limit(gate, m.group.dimension) for name, m in self.model.measurements.items()}
+        self.limits = {name: _limit(gate, m.group.dimension) for name, m in self.model.measurements.items()}
 
     # ---- what a filter is --------------------------------------------------------------------------------------------
 
     @abstractmethod
-    def propagated(self, point: Point, P: jax.Array, h: jax.Array) -> Prediction:
-        """The estimate h seconds later. Arguments must be validated."""
+    def propagated(self, point: OperatingPoint, P: jax.Array, h: jax.Array) -> Prediction:
+        """The estimate h seconds later. Arguments are prepared."""
 
     @abstractmethod
-    def corrected(self, name: str, point: Point, P: jax.Array, z: jax.Array, limit: float | None) -> Update:
-        """The estimate after a measurement if its normalised innovation is below the limit."""
+    def corrected(self, name: str, point: OperatingPoint, P: jax.Array, z: jax.Array, limit: float | None) -> Update:
+        """The estimate after a measurement of which the normalised innovation is below the limit."""
+
+    def factored(self, P: jax.Array) -> jax.Array:
+        """What `propagated` and `corrected` take and return instead of a covariance: here the covariance."""
+        return P
+
+    def multiplied(self, factor: jax.Array) -> jax.Array:
+        """The covariance from that."""
+        return factor
 
     # ---- one step ----------------------------------------------------------------------------------------------------
 
@@ -132,87 +155,114 @@ class Filter(ABC):
             records: for each measurement a pair (times (k,), values (k, *shape)), with the times in any order. A row
                 with a NaN is a missing measurement. Times are concrete numbers.
             x0, P0: the estimate at t0, before any measurement.
-            t0: s; the first time of the records if left out.
-            u: controls: constants, tables such as `tx.ZeroOrderHold`, or a function of t that returns a dict. They are
-                constant over each step, with the value at its middle; a step ends where a table jumps.
-            save_at: additional times of estimates, in s.
+            t0: s; the first time of the records and of `save_at` if left out.
+            u: controls: constants, tables such as `tx.ZeroOrderHold`, or a function of t that gives a dict. They are
+                held over each step, with their value in its middle; a step ends where a table jumps.
+            save_at: more times at which the estimate is wanted, in s.
         Raises:
             InputError, ShapeError: records, estimates or controls that do not fit the filter; a covariance P0 that is
                 not positive semidefinite.
             EstimationError: non-finite numbers, or a covariance that is not positive semidefinite, unless traced.
         """
-        first = None if t0 is None else float(number("t0", t0))
-        more = [reals("save_at", save_at, InputError).astype(float).reshape(-1), *jumps_of(u)]
-        start = 0.0 if first is None else first
-        point = self._point(start, x0, self._first(u, start), params, True, self.model.measurements)
-        grid = grid_of(records, self.model.measurements, first, more, self.max_step, point.t.dtype)
-        controls = controls_on(u, grid.ts, point.t.dtype)
-        covariance = self._covariance(P0, point)
-        # Lengths are differences in double precision: single precision loses them where times are large.
-        ts, lengths = (jnp.asarray(a, point.t.dtype) for a in (grid.ts, np.diff(grid.ts, prepend=grid.ts[0])))
-        traced = self._scan(ts, lengths, grid.values, grid.present, controls, point.x, covariance, point.params)
-        run = self._result(grid, *traced)
+        stages = self.staged(records, x0, P0, t0, u, params, save_at)
+        traced = self._scan(stages)
+        run = self._result(stages.timeline, *traced)
         if not is_traced(traced):
             run.check()
         return run
 
-    def _result(self, grid: Grid, prior: Prediction, post: Estimate, updates: dict[str, Update]) -> FilterRun:
+    def staged(
+        self, records: Records, x0: Values, P0: Any, t0: Any, u: Any, params: Values | None, save_at: Any
+    ) -> RunStages:
+        """The arguments of a run, checked and cast."""
+        first = None if t0 is None else float(number("t0", t0))
+        times = reals("save_at", save_at, InputError).astype(float).reshape(-1)
+        start = 0.0 if first is None else first
+        point = self._point(start, x0, self._first(u, start), params, True, self.model.measurements)
+        timeline = timeline_of(
+            records, self.model.measurements, first, times, jumps_of(u), self.max_step, point.t.dtype
+        )
+        controls = controls_on(u, timeline.ts, point.t.dtype)
+        # Lengths are differences in double precision: single precision loses them where times are large.
+        lengths = np.diff(timeline.ts, prepend=timeline.ts[0])
+        ts, hs = (jnp.asarray(a, point.t.dtype) for a in (timeline.ts, lengths))
+        return RunStages(timeline, ts, hs, controls, point.x, self._covariance(P0, point), point.params)
+
+    def _result(self, timeline: Timeline, prior: Prediction, post: Estimate, updates: dict[str, Update]) -> FilterRun:
         innovations = {}
         total = jnp.zeros((), post.P.dtype)
         information = jnp.zeros_like(post.P)
         for name, update in updates.items():
-            rows = grid.rows[name]
+            rows = timeline.rows[name]
             at = jax.tree.map(lambda a, rows=rows: a[rows], update)
             innovations[name] = Innovations(
-                jnp.asarray(grid.ts[rows], post.P.dtype), at.residual, at.S, at.nis, at.used, grid.present[name][rows]
+                jnp.asarray(timeline.ts[rows], post.P.dtype),
+                at.residual,
+                at.S,
+                at.nis,
+                at.used,
+                timeline.present[name][rows],
             )
             total = total + jnp.sum(update.log_likelihood)
             information = information + update.information
-        ts = jnp.asarray(grid.ts, post.P.dtype)
+        ts = jnp.asarray(timeline.ts, post.P.dtype)
         return FilterRun(
             ts, post.x, post.P, prior.x, prior.P, prior.transition, information, innovations, total, self.model.group
         )
 
     @functools.cached_property
     def _scan(self) -> Callable[..., Any]:
-        def scan(ts: Any, lengths: Any, values: Any, present: Any, controls: Any, x0: Any, P0: Any, params: Any) -> Any:
+        def scan(
+            ts: Any, hs: Any, values: Any, present: Any, controls: Any, x0: Any, P0: Any, params: Any
+        ) -> tuple[Prediction, Estimate, dict[str, Update]]:
             def advance(carry: Estimate, row: Any) -> tuple[Estimate, Any]:
                 t, h, z, seen, u = row
-                before = Point(t - h, carry.x, u, params)
+                before = OperatingPoint(t - h, carry.x, u, params)
                 prior = self.propagated(before, carry.P, h)
                 x, P, updates = prior.x, prior.P, {}
                 for name in z:
-                    update = functools.partial(self._if_present, name, Point(t, x, u, params), P, z[name])
+                    update = functools.partial(self._if_present, name, OperatingPoint(t, x, u, params), P, z[name])
                     updates[name] = update(seen[name])
                     x, P = updates[name].x, updates[name].P
-                post = Estimate(x, P)
-                return post, (prior, post, updates)
+                prior = prior._replace(P=self.multiplied(prior.P))
+                return Estimate(x, P), (prior, Estimate(x, self.multiplied(P)), updates)
 
-            rows = (ts, lengths, values, present, controls)
-            return jax.lax.scan(advance, Estimate(x0, P0), rows)[1]
+            rows = (ts, hs, values, present, controls)
+            return jax.lax.scan(advance, Estimate(x0, self.factored(P0)), rows)[1]
 
-        return jax.jit(scan)
+        jitted = jax.jit(scan)
 
-    def _if_present(self, name: str, point: Point, P: jax.Array, z: jax.Array, seen: jax.Array) -> Update:
+        def run(stages: RunStages) -> Any:
+            timeline, ts, hs, controls, x0, P0, params = stages
+            return jitted(ts, hs, timeline.values, timeline.present, controls, x0, P0, params)
+
+        return run
+
+    def _if_present(self, name: str, point: OperatingPoint, P: jax.Array, z: jax.Array, seen: jax.Array) -> Update:
         def skip() -> Update:
-            shapes = jax.eval_shape(lambda: self.corrected(name, point, P, z, self._limits[name]))
+            shapes = jax.eval_shape(lambda: self.corrected(name, point, P, z, self.limits[name]))
             zeros = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes)
             return zeros._replace(x=point.x, P=P)
 
-        return jax.lax.cond(seen, lambda: self.corrected(name, point, P, z, self._limits[name]), skip)
+        return jax.lax.cond(seen, lambda: self.corrected(name, point, P, z, self.limits[name]), skip)
 
     # ---- arguments ---------------------------------------------------------------------------------------------------
 
     @functools.cached_property
     def _jitted_predict(self) -> Callable[..., Prediction]:
-        return jax.jit(self.propagated)
+        def predict(point: OperatingPoint, P: jax.Array, h: jax.Array) -> Prediction:
+            prediction = self.propagated(point, self.factored(P), h)
+            return prediction._replace(P=self.multiplied(prediction.P))
+
+        return jax.jit(predict)
 
     @functools.cached_property
     def _jitted_update(self) -> Callable[..., Update]:
-        def update(name: str, point: Point, P: jax.Array, z: jax.Array) -> Update:
+        def update(name: str, point: OperatingPoint, P: jax.Array, z: jax.Array) -> Update:
             known = jnp.isfinite(z).all()
             safe = jnp.where(known, z, self.model.measurements[name].group.identity(z.dtype))
-            return self._if_present(name, point, P, safe, known)
+            update = self._if_present(name, point, self.factored(P), safe, known)
+            return update._replace(P=self.multiplied(update.P))
 
         return jax.jit(update, static_argnums=0)
 
@@ -224,7 +274,7 @@ class Filter(ABC):
 
     def _point(
         self, t: Any, x: Values, u: Values | None, params: Values | None, rates: bool, measurements: Iterable[str]
-    ) -> Point:
+    ) -> OperatingPoint:
         """The arguments, checked and cast; what rates and these measurements read must be there."""
         model, u = self.model, dict(u or {})
         controls = [leaf.name for leaf in model.dynamics.controls]
@@ -236,9 +286,9 @@ class Filter(ABC):
         reads = ("rates", "outputs") if rates else ("outputs",)
         inputs = functions.prepare(t, x, model.with_zeros(u, dtype), params, reads=reads)
         used = {name: value for name, value in inputs.u.items() if name in controls}
-        return Point(inputs.t, dict(inputs.x), used, dict(inputs.params))
+        return OperatingPoint(inputs.t, dict(inputs.x), used, dict(inputs.params))
 
-    def _covariance(self, P: Any, point: Point) -> jax.Array:
+    def _covariance(self, P: Any, point: OperatingPoint) -> jax.Array:
         n, dtype = self.model.dimension, point.t.dtype
         array = real_array("P", P)
         if array.shape not in ((), (n,), (n, n)):

@@ -18,7 +18,7 @@ from ..linear.labels import labels, tangent_shapes
 from ..system.dynamics import Arrays
 from .consistency import Consistency, consistency
 from .observability import Observability, observability
-from .smoother import RauchTungStriebel, Smoothed
+from .smoothers.smoother import FixedLagSmoother, RauchTungStriebel, Smoothed
 
 
 @jax.tree_util.register_dataclass
@@ -73,7 +73,7 @@ class FilterRun:
 
     @property
     def result(self) -> str:
-        """The status, with the time of a failure: "successful", numbers not finite, or a covariance not positive."""
+        """What happened, and when: "successful", numbers that are not finite, or a covariance that is not positive."""
         P = np.asarray(self.P, float)
         finite = np.isfinite(P).all(axis=(-2, -1))
         for x in self.xs.values():
@@ -82,6 +82,10 @@ class FilterRun:
         if not finite.all():
             row = np.argwhere(~finite)[0]
             return f"not finite at t = {np.asarray(self.ts)[tuple(row)]:g} s"
+        definite = np.isfinite(np.asarray(self.information)).all(axis=(-2, -1))
+        if not definite.all():
+            row = np.argwhere(~definite)[0]
+            return f"covariance of a measurement not positive definite at t = {np.asarray(self.ts)[tuple(row)]:g} s"
         size = np.sqrt(np.clip(np.diagonal(P, axis1=-2, axis2=-1), 0.0, None))
         scale = np.where(size > 0.0, size, 1.0)
         least = np.linalg.eigvalsh(P / (scale[..., :, None] * scale[..., None, :]))[..., 0]
@@ -143,9 +147,9 @@ class FilterRun:
         nis = np.where(np.asarray(rows.present), np.asarray(rows.nis), np.nan)
         return consistency(nis, rows.residual.shape[-1], level=level, tolerance=tolerance)
 
-    def smooth(self) -> Smoothed:
-        """The states that use all measurements, by `RauchTungStriebel`. Traceable."""
-        smooth = functools.partial(RauchTungStriebel().smooth, self.group)
+    def smooth(self, smoother: RauchTungStriebel | FixedLagSmoother | None = None) -> Smoothed:
+        """The states that use later measurements too, all of them by `RauchTungStriebel()`, the default. Traceable."""
+        smooth = functools.partial((smoother or RauchTungStriebel()).smooth, self.group)
         for _ in range(self.ts.ndim - 1):
             smooth = jax.vmap(smooth)
         return smooth(self.ts, (self.xs, self.P), (self.prior_xs, self.prior_P, self.transitions))

@@ -1,4 +1,4 @@
-"""Measurements with times of their own, on one grid of times."""
+"""Measurements with times of their own, on one timeline."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from .measurement import Measurement
 Records = Mapping[str, tuple[Any, Any]]
 
 
-class Grid(NamedTuple):
+class Timeline(NamedTuple):
     """The times of a run, in order, and what is measured there.
 
     Attributes:
         ts: (k,) times in s, known.
         values: by measurement (k, *shape), the identity where there is none.
         present: by measurement (k,), whether there is a value.
-        rows: by measurement the rows of its values in the grid, in the order of their times.
+        rows: by measurement the rows of its values in the timeline, in the order of their times.
     """
 
     ts: np.ndarray
@@ -35,15 +35,16 @@ class Grid(NamedTuple):
     rows: dict[str, np.ndarray]
 
 
-def grid_of(
+def timeline_of(
     records: Records,
     measurements: Mapping[str, Measurement],
     t0: float | None,
-    more: list[np.ndarray],
+    save_at: np.ndarray,
+    jumps: list[np.ndarray],
     max_step: float | None,
     dtype: Any,
-) -> Grid:
-    """The grid of the times of all records, of more times, and of steps of at most `max_step`.
+) -> Timeline:
+    """The times of all records and of `save_at`, of jumps between them, and of steps of at most `max_step`.
 
     Rows with a NaN are missing measurements. Records may come in any order of their times.
 
@@ -52,16 +53,19 @@ def grid_of(
     if not isinstance(records, Mapping):
         raise InputError(f"records must be a dict from measurements to (times, values), got {short(records)}")
     times = {name: _times(name, pair, measurements) for name, pair in records.items()}
-    knots = np.unique(np.concatenate([np.zeros(0), *times.values(), *more]))
+    if not np.isfinite(save_at).all():
+        raise InputError(f"save_at expects finite times, got {short(save_at)}")
+    knots = np.concatenate([np.zeros(0), *times.values(), save_at])
     if t0 is None and not knots.size:
         raise InputError("records are empty, so t0 is not known.\n  fix: t0=..., in s")
-    start = float(knots[0]) if t0 is None else t0
-    early = [name for name, ts in times.items() if ts.size and ts.min() < start]
-    if early:
-        raise InputError(
-            f"records[{early[0]!r}] has the time {times[early[0]].min():g}, before the start t0 = {start:g}"
-        )
-    ts = np.concatenate([[start], knots[knots > start]])
+    start = float(knots.min()) if t0 is None else t0
+    for place, ts in (*((f"records[{name!r}]", ts) for name, ts in times.items()), ("save_at", save_at)):
+        if ts.size and ts.min() < start:
+            raise InputError(f"{place} has the time {ts.min():g}, before the start t0 = {start:g}")
+    # A jump outside of the run is none: the run begins with its records and ends with them.
+    knots = np.unique(np.concatenate([[start], knots]))
+    jumps = [at[(at > start) & (at < knots[-1])] for at in jumps]
+    ts = np.unique(np.concatenate([knots, *jumps]))
     ts = ts if max_step is None else _refined(ts, max_step)
     values, present, rows = {}, {}, {}
     for name, (_, rows_of_values) in records.items():
@@ -79,7 +83,7 @@ def grid_of(
         safe = jnp.where(known.reshape(-1, *(1,) * one.ndim), sorted_values, one)
         values[name] = jnp.broadcast_to(one, (ts.size, *group.shape)).at[rows[name]].set(safe)
         present[name] = jnp.zeros(ts.size, bool).at[rows[name]].set(known)
-    return Grid(ts, values, present, rows)
+    return Timeline(ts, values, present, rows)
 
 
 def _times(name: str, pair: Any, measurements: Mapping[str, Measurement]) -> np.ndarray:
@@ -107,13 +111,13 @@ def _refined(ts: np.ndarray, max_step: float) -> np.ndarray:
 def controls_on(
     u: Mapping[str, Any] | Callable[[Any], Mapping[str, Any]] | None, ts: np.ndarray, dtype: Any
 ) -> dict[str, jax.Array]:
-    """The controls of each interval that ends at a time of the grid, (k, *shape): their values in its middle."""
+    """The controls of each interval that ends at a time of the timeline, (k, *shape): their values in its middle."""
     starts = jnp.asarray(np.concatenate([ts[:1], ts[:-1]]), dtype)
     lengths = jnp.asarray(np.diff(ts, prepend=ts[0]), dtype)
     if callable(u):
         return dict(jax.vmap(u)(starts + 0.5 * lengths))
 
-    def on_grid(name: str, value: Any) -> jax.Array:
+    def on_timeline(name: str, value: Any) -> jax.Array:
         if isinstance(value, ControlTable):
             value.check_span(f"u[{name!r}]", float(ts[0]), float(ts[-1]))
             table = value.astype(dtype)
@@ -121,7 +125,7 @@ def controls_on(
         array = real_array(f"u[{name!r}]", value)
         return jnp.broadcast_to(jnp.asarray(array, dtype), (len(ts), *array.shape))
 
-    return {name: on_grid(name, value) for name, value in (u or {}).items()}
+    return {name: on_timeline(name, value) for name, value in (u or {}).items()}
 
 
 def jumps_of(u: Any) -> list[np.ndarray]:

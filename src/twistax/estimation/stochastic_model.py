@@ -18,9 +18,10 @@ from ..linear.linearize import around
 from ..system.dynamics import Arrays, Dynamics, compile, need_compiled
 from ..system.system import System
 from .measurement import Measurement
+from .process_noise import NoiseDiscretization, VanLoan
 
 
-class Point(NamedTuple):
+class OperatingPoint(NamedTuple):
     """The arguments of rates and measurements, prepared."""
 
     t: jax.Array
@@ -45,20 +46,26 @@ class StochasticModel:
         measurements: by name.
         group, dimension: of the state.
         method: of the mean.
+        noise: how continuous noise becomes a covariance.
     """
 
-    def __init__(self, dynamics: Dynamics, measurements: Iterable[Measurement], method: Any = None) -> None:
+    def __init__(
+        self, dynamics: Dynamics, measurements: Iterable[Measurement], method: Any, noise: NoiseDiscretization | None
+    ) -> None:
         need_compiled("a filter", dynamics)
+        self.noise = VanLoan() if noise is None else noise
+        if not isinstance(self.noise, NoiseDiscretization):
+            raise ModelError(f"noise expects VanLoan() or Trapezoidal(), got {noise!r}")
         self.dynamics, self.group, self.dimension = dynamics, dynamics.group, dynamics.dimension
         self.method: RKMK = method_of(method)
         self.measurements = _by_name(measurements)
         system = dynamics.system
         self.process = system.noises
         in_measurements = {noise.name: noise for m in self.measurements.values() for noise in m.noises}
-        for noise in self.process:
-            if noise.name in in_measurements:
+        for leaf in self.process:
+            if leaf.name in in_measurements:
                 raise ModelError(
-                    f"Noise {noise.name!r} is in rates and in a measurement: the filter expects them independent.\n"
+                    f"Noise {leaf.name!r} is in rates and in a measurement: the filter expects them independent.\n"
                     "  fix: a Noise of another name in the measurement"
                 )
         noises = [*self.process, *in_measurements.values()]
@@ -80,11 +87,12 @@ class StochasticModel:
         bake = {name: value for name, value in dynamics.baked.items() if name in known}
         self.noisy = compile(noisy, bake=bake, backend=dynamics.backend)
         self._zeros = {noise.name: noise.shape for noise in noises}
+        self.noise_names = tuple(self._zeros)
         self.controls = Controls(dynamics.controls)
 
     # ---- the state between measurements ------------------------------------------------------------------------------
 
-    def step(self, point: Point, h: jax.Array) -> tuple[Arrays, jax.Array, jax.Array]:
+    def step(self, point: OperatingPoint, h: jax.Array) -> tuple[Arrays, jax.Array, jax.Array]:
         """The mean after h seconds with controls held, the transition matrix and the covariance of the noise.
 
         Covariances are in the tangent space at the mean: P -> Phi P Phi^T + Q.
@@ -92,42 +100,38 @@ class StochasticModel:
         t, x, u, params = point
         flat = self.controls.join(u, t.dtype)
         x1, transition, *_ = step_derivatives(self.dynamics, self.method, t, x, flat, h, params)
-        return x1, transition, self.process_noise(self.halfway(point, x1, h), h)
+        return x1, transition, self.process_noise(point, x1, transition, h)
 
-    def moved(self, point: Point, h: jax.Array) -> Arrays:
+    def moved(self, point: OperatingPoint, h: jax.Array) -> Arrays:
         """The mean after h seconds."""
         field = VectorField(self.dynamics, lambda _: point.u, point.params)
         increment = self.method.increment(field, point.t, point.x, h)
         return self.group.retract(point.x, self.group.join(increment))
 
-    def halfway(self, point: Point, x1: Arrays, h: jax.Array) -> Point:
-        """The middle of the geodesic from a point to the state h seconds later."""
-        middle = self.group.retract(point.x, 0.5 * self.group.difference(point.x, x1))
-        return point._replace(t=point.t + 0.5 * h, x=middle)
-
-    def process_noise(self, point: Point, h: jax.Array) -> jax.Array:
-        """$Q = int_0^h exp(F s) G W G^T exp(F s)^T ds$, (n, n), of noise with the intensity W.
-
-        Source: Van Loan, Computing integrals involving the matrix exponential, IEEE TAC 23 (1978), theorem 1.
-        """
-        n = self.dimension
+    def process_noise(self, point: OperatingPoint, x1: Arrays, transition: jax.Array, h: jax.Array) -> jax.Array:
+        """The covariance (n, n) of the noise from a point to the state x1 h seconds later."""
         if not self.process:
-            return jnp.zeros((n, n), point.t.dtype)
-        F, G = self.linearized(point)
-        intensity = G @ self.intensity(point, self.process) @ G.T
-        block = jnp.block([[-F, intensity], [jnp.zeros_like(F), F.T]]) * h
-        exponential = jax.scipy.linalg.expm(block)
-        Q = exponential[n:, n:].T @ exponential[:n, n:]
-        return 0.5 * (Q + Q.T)
+            return jnp.zeros((self.dimension, self.dimension), point.t.dtype)
 
-    def linearized(self, point: Point) -> tuple[jax.Array, jax.Array]:
+        def local(fraction: float) -> tuple[jax.Array, jax.Array]:
+            """In the start, the middle or the end of the step."""
+            x = {0.0: point.x, 1.0: x1}.get(fraction)
+            if x is None:
+                x = self.group.retract(point.x, fraction * self.group.difference(point.x, x1))
+            at = point._replace(t=point.t + fraction * h, x=x)
+            F, G = self.linearized(at)
+            return F, G @ self.intensity(at, self.process) @ G.T
+
+        return self.noise.covariance(local, transition, h)
+
+    def linearized(self, point: OperatingPoint) -> tuple[jax.Array, jax.Array]:
         """F and G of $d' = F d + G w$, d the right perturbation of the state."""
         n, m = self.dimension, self.controls.dimension
         value, slopes = around(self.noisy, ())(point.t, point.x, self.with_zeros(point.u, point.t.dtype), point.params)
         size = sum(int(np.prod(noise.shape)) for noise in self.process)
         return slopes[:n, :n] - self.group.ad(value[:n]), slopes[:n, n + m : n + m + size]
 
-    def intensity(self, point: Point, noises: Iterable[Noise]) -> jax.Array:
+    def intensity(self, point: OperatingPoint, noises: Iterable[Noise]) -> jax.Array:
         """The intensity W of white noise, in squares of densities: a block for each noise."""
         noises = list(noises)
         values = self.outputs([_density(noise) for noise in noises], point)
@@ -136,11 +140,11 @@ class StochasticModel:
 
     # ---- measurements ------------------------------------------------------------------------------------------------
 
-    def measured(self, name: str, point: Point) -> jax.Array:
+    def measured(self, name: str, point: OperatingPoint) -> jax.Array:
         """The value of a measurement without noise."""
         return self.outputs([name], point)[name]
 
-    def sensitivity(self, name: str, point: Point) -> Sensitivity:
+    def sensitivity(self, name: str, point: OperatingPoint) -> Sensitivity:
         """The value of a measurement, its derivative by the state and the covariance of its errors."""
         measurement, n, dtype = self.measurements[name], self.dimension, point.t.dtype
         group, m = measurement.group, measurement.group.dimension
@@ -168,7 +172,7 @@ class StochasticModel:
 
     # ---- values ------------------------------------------------------------------------------------------------------
 
-    def outputs(self, names: list[str], point: Point) -> Arrays:
+    def outputs(self, names: list[str], point: OperatingPoint) -> Arrays:
         """Outputs of the system with noise."""
         functions = self.noisy.functions.with_outputs(names)
         return functions.as_written("outputs", point.t, point.x, self.with_zeros(point.u, point.t.dtype), point.params)

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from ..groups import Group
+from .covariance_root import CovarianceRoot
 from .filter import Filter, Prediction
-from .stochastic_model import Point
-from .update import Update, linear_update, symmetric
+from .stochastic_model import OperatingPoint
+from .update import LinearMeasurement, Update, linear_update, symmetric
 
 
 class UnscentedKalman(Filter):
@@ -29,6 +30,7 @@ class UnscentedKalman(Filter):
         method: of the mean; RKMK with RK4 if left out.
         max_step: the longest step of a prediction in s; one step between two times if left out.
         gate: a probability, as of `ErrorStateKalman`.
+        noise: as of `ErrorStateKalman`.
     Raises:
         ModelError: the same conditions as for `ErrorStateKalman`.
 
@@ -38,22 +40,20 @@ class UnscentedKalman(Filter):
     Brossard, Barrau, Bonnabel, A code for unscented Kalman filtering on manifolds, ICRA (2020), with other weights.
     """
 
-    def propagated(self, point: Point, P: jax.Array, h: jax.Array) -> Prediction:
+    def propagated(self, point: OperatingPoint, P: jax.Array, h: jax.Array) -> Prediction:
         group = self.model.group
-        root = _Root.of(P)
+        root = CovarianceRoot.of(P)
         center = self.model.moved(point, h)
         points = self._points(point, root, lambda one: self.model.moved(one, h))
         mean, deviations = _around_mean(group, center, points)
-        Q = self.model.process_noise(self.model.halfway(point, center, h), h)
-        count = len(deviations)
-        return Prediction(
-            mean, symmetric(deviations.T @ deviations / count + Q), root.linear_map(_by_root(deviations)).T
-        )
+        transition = root.linear_map(_by_root(deviations)).T
+        Q = self.model.process_noise(point, center, transition, h)
+        return Prediction(mean, symmetric(deviations.T @ deviations / len(deviations) + Q), transition)
 
-    def corrected(self, name: str, point: Point, P: jax.Array, z: jax.Array, limit: float | None) -> Update:
+    def corrected(self, name: str, point: OperatingPoint, P: jax.Array, z: jax.Array, limit: float | None) -> Update:
         group = self.model.measurements[name].group
         center, _, R = self.model.sensitivity(name, point)
-        root = _Root.of(P)
+        root = CovarianceRoot.of(P)
         mean, deviations = _around_mean(
             group, center, self._points(point, root, lambda p: self.model.measured(name, p))
         )
@@ -61,43 +61,15 @@ class UnscentedKalman(Filter):
         # What the linear map does not explain is noise too: the spread of the points about it.
         spread = symmetric(deviations.T @ deviations / len(deviations) - slopes.T @ slopes)
         residual = group.difference(mean, z)
-        return linear_update(self.model.group, point.x, P, residual, root.linear_map(slopes).T, R + spread, limit)
+        measured = LinearMeasurement(point.x, residual, root.linear_map(slopes).T, R + spread)
+        return linear_update(self.model.group, measured, P, limit)
 
-    def _points(self, point: Point, root: _Root, function: Callable[[Point], Any]) -> Any:
+    def _points(self, point: OperatingPoint, root: CovarianceRoot, function: Callable[[OperatingPoint], Any]) -> Any:
         """A function at all sigma points, those of positive sign first."""
         n = self.model.dimension
         columns = jnp.sqrt(jnp.asarray(n, root.factor.dtype)) * root.matrix.T
         signed = jnp.concatenate([columns, -columns])
         return jax.vmap(lambda d: function(point._replace(x=self.model.group.retract(point.x, d))))(signed)
-
-
-class _Root(NamedTuple):
-    """A square root of a positive semidefinite P: `scale` by the triangular `factor` of its correlations.
-
-    Deviations that are zero stay zero; a round-off of the correlations is added, so the factor is never singular.
-    """
-
-    scale: jax.Array
-    factor: jax.Array
-
-    @classmethod
-    def of(cls, P: jax.Array) -> _Root:
-        n = len(P)
-        positive = jnp.diag(P) > 0.0
-        scale = jnp.where(positive, jnp.sqrt(jnp.where(positive, jnp.diag(P), 1.0)), 0.0)
-        safe = jnp.where(positive, scale, 1.0)
-        eye = jnp.eye(n, dtype=P.dtype)
-        correlations = P / jnp.outer(safe, safe) + jnp.diag(jnp.where(positive, 0.0, 1.0).astype(P.dtype))
-        return cls(scale, jnp.linalg.cholesky(correlations + n * float(jnp.finfo(P.dtype).eps) * eye))
-
-    @property
-    def matrix(self) -> jax.Array:
-        return self.scale[:, None] * self.factor
-
-    def linear_map(self, slopes: jax.Array) -> jax.Array:
-        """H^T of the linear map with $H L = slopes^T$; zero for states that are known."""
-        safe = jnp.where(self.scale > 0.0, self.scale, 1.0)
-        return jax.scipy.linalg.solve_triangular(self.factor, slopes, lower=True, trans=1) / safe[:, None]
 
 
 def _by_root(deviations: jax.Array) -> jax.Array:

@@ -7,9 +7,14 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.scipy.linalg import cho_solve, solve_triangular
 
 from ..groups import Product
 from ..system.dynamics import Arrays
+from .covariance_root import triangular
+
+#: (group, d) -> (n, n): what moves a covariance to the tangent space at x Exp(d).
+Reset = Callable[[Product, jax.Array], jax.Array]
 
 
 class Update(NamedTuple):
@@ -21,7 +26,8 @@ class Update(NamedTuple):
         S: (m, m), its covariance.
         nis: normalised innovation squared $r^T S^-1 r$, of mean m for a consistent filter.
         used: whether it passed the gate.
-        information: (n, n) $H^T R^-1 H$, the information matrix of the measurement.
+        information: (n, n) $H^T R^-1 H$, what the measurement tells of the state; not finite where R is not positive
+            definite.
         log_likelihood: of the measurement.
     """
 
@@ -35,43 +41,78 @@ class Update(NamedTuple):
     log_likelihood: jax.Array
 
 
+class LinearMeasurement(NamedTuple):
+    """A measurement about an estimate x, $r = H d + v$, with the covariance R of v."""
+
+    x: Arrays
+    residual: jax.Array
+    H: jax.Array
+    R: jax.Array
+
+    def updated(
+        self, group: Product, P: jax.Array, new_P: jax.Array, d: jax.Array, root: jax.Array, limit: float | None
+    ) -> Update:
+        """The update from P to new_P and x Exp(d), unless it is discarded. `root` is a triangular root of S."""
+        whitened = solve_triangular(root, self.residual, lower=True)
+        nis = whitened @ whitened
+        used = jnp.ones((), bool) if limit is None else nis <= limit
+        new_x = group.retract(self.x, d)
+        information = self.H.T @ cho_solve((jnp.linalg.cholesky(self.R), True), self.H)
+        deviations = jnp.abs(jnp.diag(root))
+        likelihood = -0.5 * (nis + d.dtype.type(self.residual.size) * jnp.log(2.0 * jnp.pi))
+        likelihood = likelihood - jnp.sum(jnp.log(deviations))
+        zero = jnp.zeros((), P.dtype)
+        return Update(
+            {key: jnp.where(used, new_x[key], self.x[key]) for key in self.x},
+            jnp.where(used, new_P, P),
+            self.residual,
+            root @ root.T,
+            nis,
+            used,
+            jnp.where(used, information, zero),
+            jnp.where(used, likelihood, zero),
+        )
+
+
 def symmetric(P: jax.Array) -> jax.Array:
-    """The symmetric part."""
-    return 0.5 * (P + P.T)
+    """The symmetric matrix of the lower triangle; what is computed for the upper one is left out of scalar programs."""
+    return jnp.tril(P) + jnp.tril(P, -1).T
 
 
 def linear_update(
     group: Product,
-    x: Arrays,
+    measured: LinearMeasurement,
     P: jax.Array,
-    residual: jax.Array,
-    H: jax.Array,
-    R: jax.Array,
     limit: float | None,
-    reset: Callable[[Product, jax.Array], jax.Array] = Product.right_jacobian,
+    reset: Reset = Product.right_jacobian,
 ) -> Update:
-    """The estimate after a measurement with $r = H d + v$, in Joseph's form, with P in the tangent space at its end."""
-    S = symmetric(H @ P @ H.T + R)
-    factor = jnp.linalg.cholesky(S)
-    gain = jax.scipy.linalg.cho_solve((factor, True), H @ P).T
-    whitened = jax.scipy.linalg.solve_triangular(factor, residual, lower=True)
-    nis = whitened @ whitened
-    used = jnp.ones((), bool) if limit is None else nis <= limit
+    """The estimate after a measurement, in Joseph's form, with P in the tangent space at its end."""
+    _, residual, H, R = measured
+    root = jnp.linalg.cholesky(symmetric(H @ P @ H.T + R))
+    gain = cho_solve((root, True), H @ P).T
     d = gain @ residual
     keep = jnp.eye(group.dimension, dtype=P.dtype) - gain @ H
     moved = reset(group, d)
     new_P = symmetric(moved @ (keep @ P @ keep.T + gain @ R @ gain.T) @ moved.T)
-    new_x = group.retract(x, d)
-    information = H.T @ jnp.linalg.solve(R, H)
-    likelihood = -0.5 * (nis + residual.size * jnp.log(2.0 * jnp.pi)) - jnp.sum(jnp.log(jnp.diag(factor)))
-    zero = jnp.zeros((), P.dtype)
-    return Update(
-        {key: jnp.where(used, new_x[key], x[key]) for key in x},
-        jnp.where(used, new_P, P),
-        residual,
-        S,
-        nis,
-        used,
-        jnp.where(used, information, zero),
-        jnp.where(used, likelihood, zero),
-    )
+    return measured.updated(group, P, new_P, d, root, limit)
+
+
+def root_update(
+    group: Product,
+    measured: LinearMeasurement,
+    L: jax.Array,
+    limit: float | None,
+    reset: Reset = Product.right_jacobian,
+) -> Update:
+    """The same with roots, $P = L L^T$, by one orthogonal transformation; the P of the update is the new root.
+
+    With the transformation T on the right, $[R^(1/2), H L; 0, L] T = [S^(1/2), 0; K S^(1/2), L']$.
+    """
+    _, residual, H, R = measured
+    m = residual.size
+    above = jnp.concatenate([jnp.linalg.cholesky(R), H @ L], axis=1)
+    below = jnp.concatenate([jnp.zeros((L.shape[0], m), L.dtype), L], axis=1)
+    lower = triangular(jnp.concatenate([above, below], axis=0))
+    root = lower[:m, :m]
+    d = lower[m:, :m] @ solve_triangular(root, residual, lower=True)
+    return measured.updated(group, L, reset(group, d) @ lower[m:, m:], d, root, limit)

@@ -26,9 +26,6 @@ Point = list[NDArray[Any]]
 #: Of references at which the test main gives up, relative to the largest one of a function.
 _TOLERANCES = {"float64": 1e-10, "float32": 1e-4}
 
-#: Of steps in the test main, in units of time.
-TEST_STEP = 2.0**-7
-
 #: Headers of C99, which a header of that name would hide.
 _STANDARD = (
     "assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal stdarg stdbool stddef "
@@ -50,9 +47,23 @@ def write_c(
 ) -> CFiles:
     """Implements `Dynamics.to_c`, which documents the arguments."""
     check_name(name)
-    real = _real(dtype)
-    exporter = Exporter(dynamics, real.dtype, checked)
+    exporter = Exporter(dynamics, _real(dtype).dtype, checked)
     functions = _functions(exporter, jacobian, step)
+    return write_functions(exporter, functions, directory, name=name, points=points, tolerance=tolerance)
+
+
+def write_functions(
+    exporter: Exporter,
+    functions: Sequence[ExportedFunction],
+    directory: str | Path,
+    *,
+    name: str,
+    points: Sequence[Sequence[Any]] | None,
+    tolerance: float | None,
+) -> CFiles:
+    """Write the files of functions. Arguments are those of `write_c`."""
+    check_name(name)
+    real = _real(exporter.dtype)
     of_functions = dict.fromkeys(port for f in functions for port in (*f.extra, *f.results))
     names = identifiers([*exporter.arguments, *of_functions])
     chosen_points = _drawn_points(exporter) if points is None else [_point(exporter, point) for point in points]
@@ -175,9 +186,13 @@ def _test_main(code: CCode, points: Sequence[Point], tolerance: float) -> str:
         finite = np.concatenate([np.abs(r[np.isfinite(r)]) for reference in references for r in reference])
         allowed = real.literal(_cast(tolerance * float(finite.max(initial=0.0)), real)[()])
         results = [f"found[{j}]" for j in range(len(function.results))]
-        lengths = [real.literal(_cast(TEST_STEP, real)[()])] * len(function.extra)
+        trials = []
+        for port, value in zip(function.extra, function.trial, strict=True):
+            array = f"trial_{function.name}_{names[port]}"
+            trials.append(real.literal(_cast(value, real)[()]) if port.by_value else array)
+            data += [] if port.by_value else [numbers(array, _cast(value, real), real)]
         for k, arguments in enumerate(inputs):
-            steps.append(f"{code.name}_{function.name}({', '.join([*arguments, *lengths, *results])});")
+            steps.append(f"{code.name}_{function.name}({', '.join([*arguments, *trials, *results])});")
             for result, port, reference in zip(results, function.results, references[k], strict=True):
                 array = f"expected_{k}_{function.name}_{names[port]}"
                 data.append(numbers(array, reference, real))
@@ -206,7 +221,8 @@ def _references(function: ExportedFunction, points: Sequence[Point]) -> list[lis
         stacked: list[Any] = [
             jnp.stack([jnp.asarray(v, np.float64) for v in values]) for values in zip(*points, strict=True)
         ]
-        stacked += [jnp.full(len(points), TEST_STEP, np.float64)] * len(function.extra)
+        repeated = [jnp.asarray(value, np.float64) for value in function.trial]
+        stacked += [jnp.broadcast_to(value, (len(points), *value.shape)) for value in repeated]
         # Compiled once, for a few points: the compiler's optimisations would take longer than they save.
         run = jax.jit(jax.vmap(function.arrays), compiler_options={"xla_backend_optimization_level": 0})
         results = [np.asarray(r) for r in run(*stacked)]

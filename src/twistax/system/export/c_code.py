@@ -30,7 +30,10 @@ _MEANINGS = {
     "output": "output {}",
     "inequality": "what must be <= 0",
     "equality": "what must be = 0",
-    "h": "length of a step",
+    "h": "length of the step",
+    "P": "covariance {} the call, of d in x Exp(d), states in the order of the arguments",
+    "z": "measured value of {}",
+    "nis": "normalised innovation squared of {}",
     "next": "state {} at the end",
     "by x": "by right perturbations of the states, x (+) d = x Exp(d)",
     "by u": "by entries of the controls",
@@ -161,7 +164,10 @@ class CCode:
     def _results(self, function: ExportedFunction) -> str:
         text = f" *\n * Results of {function.name}, in this order\n{self._listed(function.results)}"
         if function.extra:
-            text += " *   After the parameters it takes the length of the step, h, by value. Controls stay constant.\n"
+            text += " *   After the parameters it takes\n"
+            for port in function.extra:
+                text += f" *     the {self._meaning(port)}, {self.names[port]}{', by value' if port.by_value else ''}\n"
+            text += " *   Controls stay constant.\n"
         if function.name == "jacobian":
             rows = ", ".join(_comment(state.name) for state in self.exporter.dynamics.states)
             places = sum(port.size for port in function.results)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -22,14 +22,17 @@ from ..jacobian import blocks_in_arrays
 #: LU with pivots is unrolled up to the size that Cholesky is.
 _LIMITS = Limits(pivoted=12, table=256, equations=100_000)
 
+#: Of steps with which references are computed, in units of time.
+TEST_STEP = 2.0**-7
+
 
 @dataclasses.dataclass(frozen=True)
 class Port:
     """An array that goes into a function or comes out of it."""
 
-    kind: (
-        str  # "t", "x", "u", "params", "h" of arguments; "rate", "output", "constraint", "jacobian", "next" of results
-    )
+    #: "t", "x", "u", "params", "h" of arguments; "rate", "output", "constraint", "jacobian", "next" of results; of
+    #: filters "P", the covariance, "z", a measured value, and "nis".
+    kind: str
     name: str  # of the leaf or the result; empty for the time and the length of a step
     shape: tuple[int, ...]
 
@@ -52,18 +55,21 @@ class ExportedFunction:
     program: ScalarProgram  # from all arguments, in order, to the results; without calls
     arrays: Callable[..., list[jax.Array]]  # the same in JAX arrays: what references are computed with
     extra: tuple[Port, ...] = ()  # arguments after those of all functions
+    trial: tuple[np.ndarray, ...] = ()  # of these, with which references are computed
 
 
 class Exporter:
     """The functions of a compiled system in one precision, whatever JAX's x64 switch says.
 
     Arguments of all of them are the time, the states, the controls and the parameters, in the order of declaration.
-    `checked` is as of `tx.XLA`: keep 0 x, 0 / x and x - x, which differ from zero where x is not finite.
+    `checked` is as of `tx.XLA`: keep 0 x, 0 / x and x - x, which differ from zero where x is not finite. Controls named
+    in `without` are left out.
     """
 
-    def __init__(self, dynamics: Functions, dtype: Any, checked: bool = False) -> None:
+    def __init__(self, dynamics: Functions, dtype: Any, checked: bool = False, without: Collection[str] = ()) -> None:
         self.dynamics, self.dtype, self.checked = dynamics, np.dtype(dtype), checked
-        leaves = {"x": dynamics.states, "u": dynamics.controls, "params": dynamics.parameters}
+        controls = [control for control in dynamics.controls if control.name not in without]
+        leaves = {"x": dynamics.states, "u": controls, "params": dynamics.parameters}
         ports = [Port(kind, leaf.name, leaf.shape) for kind, of_kind in leaves.items() for leaf in of_kind]
         self.arguments = (Port("t", "", ()), *ports)
         self._places = tuple((port.kind, port.name) for port in self.arguments)
@@ -109,16 +115,33 @@ class Exporter:
         Raises:
             ModelError: the step has no scalar form, or the program is too large.
         """
-        length, states = Port("h", "", ()), [state.name for state in self.dynamics.states]
+        results = [Port("next", state.name, state.shape) for state in self.dynamics.states]
+        by_result = lambda *values: [advance(*values)[port.name] for port in results]  # noqa: E731
+        return self.function("step", results, by_result, {Port("h", "", ()): np.asarray(TEST_STEP)})
+
+    def function(
+        self,
+        name: str,
+        results: Sequence[Port],
+        function: Callable[..., list[jax.Array]],
+        extra: Mapping[Port, np.ndarray],
+    ) -> ExportedFunction:
+        """A function of t, x, u, params and more arguments, which come with values for references.
+
+        Raises:
+            ModelError: it has no form in scalars, or the program is too large.
+        """
 
         def arrays(*values: jax.Array) -> list[jax.Array]:
-            after = advance(*self.dynamics.by_kind(self._places, values[:-1]), values[-1])
-            return [after[name] for name in states]
+            count = len(self.arguments)
+            return function(*self.dynamics.by_kind(self._places, values[:count]), *values[count:])
 
         with jax.enable_x64(self.dtype == np.float64):
-            shaped = [jax.ShapeDtypeStruct(p.shape, self.dtype) for p in (*self.arguments, length)]
+            shaped = [jax.ShapeDtypeStruct(p.shape, self.dtype) for p in (*self.arguments, *extra)]
             program = scalarize(jax.make_jaxpr(arrays)(*shaped), checked=self.checked)
-            return dataclasses.replace(exported("step", "next", states, program, arrays), extra=(length,))
+            exported_function = exported(name, "", [port.name for port in results], program, arrays)
+        kept = tuple(port for port, nodes in zip(results, program.outputs, strict=True) if nodes.size)
+        return dataclasses.replace(exported_function, results=kept, extra=tuple(extra), trial=tuple(extra.values()))
 
 
 def exported(

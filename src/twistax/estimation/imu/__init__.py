@@ -1,0 +1,1 @@
+"""Inertial measurement units: noise from readings at rest, and preintegrated motion."""

@@ -1,0 +1,193 @@
+"""Readings of an inertial measurement unit between two times as one relative motion, with its covariance."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ...checks import real_array, reals
+from ...errors import ModelError, ShapeError
+from ...groups import SO3, Euclidean, Product
+from ...groups.arrays import Input, floats, multiply, of_shape
+from ...groups.series import stumpff
+from ...groups.so3 import exp, hat
+from ...linear.discretize import value_and_jacobian
+
+#: Rotation, velocity and position relative to the start, with d = [phi; dv; dp].
+_MOTION = Product({"R": SO3, "v": Euclidean(3), "p": Euclidean(3)})
+_STATE = {"rotation": (3, 3), "velocity": (3,), "position": (3,)}
+
+
+class InertialState(NamedTuple):
+    """Where a vehicle is and how it moves, in the world.
+
+    Attributes:
+        rotation: attitude, (3, 3).
+        velocity: (3,) in m/s.
+        position: (3,) in m.
+    """
+
+    rotation: jax.Array
+    velocity: jax.Array
+    position: jax.Array
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class PreintegratedImu:
+    """The motion between two times relative to the first, from the readings alone. A pytree.
+
+    Attributes:
+        duration: T, s.
+        rotation, velocity, position: $R_0^T R_1$; $R_0^T (v_1 - v_0 - g T)$; $R_0^T (p_1 - p_0 - v_0 T - g T^2 / 2)$.
+        covariance: (9, 9) of $d = [phi; dv; dp]$: the rotation is $R Exp(phi)$, the vectors $v + dv$ and $p + dp$.
+        jacobian: (9, 6), the derivative of d by the biases of gyroscope and accelerometer.
+        bias: (6,), the biases that were subtracted: rad/s and m/s2.
+    """
+
+    duration: jax.Array
+    rotation: jax.Array
+    velocity: jax.Array
+    position: jax.Array
+    covariance: jax.Array
+    jacobian: jax.Array
+    bias: jax.Array
+
+    def corrected(self, bias: Input) -> InertialState:
+        """The relative motion for other biases (6,), to first order in their change. Raises ShapeError.
+
+        Source: Forster et al. (2017), eq. 44.
+        """
+        (other,) = of_shape("corrected", {"bias": (6,)}, bias)
+        motion = {"R": self.rotation, "v": self.velocity, "p": self.position}
+        moved = _MOTION.retract(motion, self.jacobian @ (other - self.bias))
+        return InertialState(moved["R"], moved["v"], moved["p"])
+
+    def predict(self, start: InertialState, gravity: Input, bias: Input | None = None) -> InertialState:
+        """The state at the end from that at the start, gravity (3,) in m/s2 and biases (6,). Raises ShapeError."""
+        delta, T = self._delta(bias), self.duration
+        R, v, p, g = of_shape("predict", {**_STATE, "gravity": (3,)}, *start, gravity)
+        return InertialState(
+            multiply(R, delta.rotation),
+            v + g * T + multiply(R, delta.velocity),
+            p + v * T + 0.5 * T * T * g + multiply(R, delta.position),
+        )
+
+    def residual(
+        self, start: InertialState, end: InertialState, gravity: Input, bias: Input | None = None
+    ) -> jax.Array:
+        """What the states at both ends say of d beyond the readings, (9,), of covariance `covariance`.
+
+        Raises: ShapeError.
+
+        Source: Forster et al. (2017), eq. 45.
+        """
+        delta, T = self._delta(bias), self.duration
+        R, v, p, g = of_shape("residual", {**_STATE, "gravity": (3,)}, *start, gravity)
+        R1, v1, p1 = of_shape("residual", _STATE, *end)
+        seen = {
+            "R": multiply(R.T, R1),
+            "v": multiply(R.T, v1 - v - g * T),
+            "p": multiply(R.T, p1 - p - v * T - 0.5 * T * T * g),
+        }
+        return _MOTION.difference({"R": delta.rotation, "v": delta.velocity, "p": delta.position}, seen)
+
+    def _delta(self, bias: Input | None) -> InertialState:
+        return self.corrected(self.bias if bias is None else bias)
+
+
+class Preintegration:
+    """Integration of gyroscope and accelerometer between two times, in the frame of the first.
+
+    The result depends on no state, so an optimiser that moves the states integrates nothing again; biases enter to
+    first order. Readings are held over each interval, and the motion is exact for readings that are held:
+
+        $R' = R Exp(w h), v' = v + R G_1(w h) a h, p' = p + v h + R G_2(w h) a h^2, G_m(x) = sum_n hat(x)^n / (n + m)!$,
+
+    where Forster et al. take one step of Euler's method. Traceable.
+
+    Args:
+        gyro: density of its white noise, rad/s per $Hz^(1/2)$: a number or one for each axis.
+        accelerometer: the same in m/s2 per $Hz^(1/2)$.
+    Raises:
+        ModelError: densities that are negative or of another shape.
+
+    Example: `tx.estimation.Preintegration(2e-4, 2e-3).integrate(rates, forces, 0.01).rotation`.
+
+    Source: Forster, Carlone, Dellaert, Scaramuzza, On-manifold preintegration for real-time visual-inertial odometry,
+    IEEE TRO 33 (2017), sec. VI.
+    """
+
+    def __init__(self, gyro: Any, accelerometer: Any) -> None:
+        self.densities = np.concatenate([_density("gyro", gyro), _density("accelerometer", accelerometer)])
+
+    def integrate(self, gyro: Input, accelerometer: Input, h: Any, bias: Input | None = None) -> PreintegratedImu:
+        """The relative motion from k readings.
+
+        Args:
+            gyro: (k, 3) in rad/s; accelerometer: (k, 3) in m/s2, specific forces.
+            h: s, how long each is held: a number or (k,).
+            bias: (6,) of both, subtracted; zero if left out.
+        Raises: InputError, ShapeError for what does not fit.
+        """
+        (rates,) = floats(gyro, names=["gyro"])
+        if rates.ndim != 2 or rates.shape[1] != 3 or not len(rates):
+            raise ShapeError(f"gyro expects readings of shape (k, 3), got {rates.shape}")
+        count, dtype = len(rates), rates.dtype
+        (forces,) = of_shape("integrate", {"accelerometer": (count, 3)}, accelerometer)
+        (biases,) = of_shape("integrate", {"bias": (6,)}, jnp.zeros(6, dtype) if bias is None else bias)
+        lengths = real_array("h", h)
+        if lengths.shape not in ((), (count,)):
+            raise ShapeError(f"h expects a number or shape ({count},), got {lengths.shape}")
+        forces, biases, lengths = (jnp.asarray(a, dtype) for a in (forces, biases, lengths))
+        lengths = jnp.broadcast_to(lengths, (count,))
+        readings = jnp.concatenate([rates, forces], axis=1) - biases[None, :]
+        motion, P, J = _integrated(readings, lengths, jnp.asarray(self.densities, dtype) ** 2)
+        return PreintegratedImu(jnp.sum(lengths), motion["R"], motion["v"], motion["p"], P, J, biases)
+
+
+@jax.jit
+def _integrated(readings: jax.Array, lengths: jax.Array, intensities: jax.Array) -> tuple[Any, jax.Array, jax.Array]:
+    """The motion, its covariance and its derivative by the biases."""
+    dtype = readings.dtype
+
+    def advance(carry: Any, row: Any) -> tuple[Any, None]:
+        motion, P, J = carry
+        reading, h = row
+        after, A, B = _step(motion, reading, h)
+        noise = B * (intensities / h)[None, :]
+        return (after, A @ P @ A.T + noise @ B.T, A @ J - B), None
+
+    start = (_MOTION.identity(dtype), jnp.zeros((9, 9), dtype), jnp.zeros((9, 6), dtype))
+    (motion, P, J), _ = jax.lax.scan(advance, start, (readings, lengths))
+    return motion, 0.5 * (P + P.T), J
+
+
+def _step(motion: dict[str, jax.Array], reading: jax.Array, h: jax.Array) -> tuple[Any, jax.Array, jax.Array]:
+    """The motion after a reading [w; a] that is held for h, and its derivatives by motion (9, 9) and reading (9, 6)."""
+
+    def after(z: jax.Array) -> dict[str, jax.Array]:
+        before, shifted = _MOTION.retract(motion, z[:9]), reading + z[9:]
+        R, v, p = before["R"], before["v"], before["p"]
+        turn, force = shifted[:3] * h, shifted[3:] * h
+        W, square = hat(turn), turn @ turn
+        once, twice = multiply(W, force), multiply(W, multiply(W, force))
+        dv = force + stumpff(2, square) * once + stumpff(3, square) * twice
+        dp = 0.5 * force + stumpff(3, square) * once + stumpff(4, square) * twice
+        return {"R": multiply(R, exp(turn)), "v": v + multiply(R, dv), "p": p + v * h + multiply(R, dp) * h}
+
+    zero = jnp.zeros(15, reading.dtype)
+    end = after(zero)
+    _, slopes = value_and_jacobian(lambda z: _MOTION.difference(end, after(z)), zero)
+    return end, slopes[:, :9], slopes[:, 9:]
+
+
+def _density(name: str, value: Any) -> np.ndarray:
+    density = reals(f"Preintegration: {name}", value, ModelError).astype(float)
+    if density.shape not in ((), (3,)) or not np.isfinite(density).all() or (density < 0.0).any():
+        raise ModelError(f"Preintegration: {name} expects a density that is not negative, or three, got {value!r}")
+    return np.broadcast_to(density, (3,))

@@ -1,0 +1,1 @@
+"""Estimates that use measurements of later times too."""

@@ -1,0 +1,309 @@
+"""The most probable states over all times at once, by Gauss-Newton and Levenberg-Marquardt steps."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.linalg import cho_solve
+
+from ...checks import listed, number, whole
+from ...errors import EstimationError, InputError, ModelError, ShapeError
+from ...groups import Product
+from ...jax_inside import is_traced
+from ...system.dynamics import Arrays, Dynamics
+from ...system.inputs import Values
+from ..error_state_kalman import ErrorStateKalman
+from ..filter import RunStages
+from ..measurement import Measurement
+from ..records import Records
+from ..stochastic_model import OperatingPoint
+from .linear_stages import LinearStage, Sensed, in_range, smoothed
+from .robust_losses import RobustLoss
+
+#: Levenberg-Marquardt: the first damping after a step that raised the cost, the factor between two, and the largest.
+_DAMPING, _FACTOR, _MOST = 1e-2, 10.0, 1e8
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class BatchEstimate:
+    """The most probable states over a record. A pytree.
+
+    Attributes:
+        ts: (k,) times in s.
+        xs: states by name, (k, *shape).
+        P: (k, n, n), covariances of d in $x_true = x Exp(d)$, of the problem linearised about the states.
+        cost: half the sum of losses of all residuals.
+        weights: by measurement, (k,) $rho'(s)$ of each record; 0 where it is missing.
+        iterations: how many steps were tried.
+        step: the last change of the states, in root mean square standard deviations.
+        converged: whether it fell below the tolerance.
+    """
+
+    ts: jax.Array
+    xs: Arrays
+    P: jax.Array
+    cost: jax.Array
+    weights: Arrays
+    iterations: jax.Array
+    step: jax.Array
+    converged: jax.Array
+
+    @property
+    def result(self) -> str:
+        """ "successful", or what went wrong."""
+        if not np.isfinite(np.asarray(self.cost)).all():
+            return "not finite"
+        if not np.asarray(self.converged).all():
+            worst = float(np.max(self.step))
+            return f"not converged after {int(np.max(self.iterations))} steps, the last of {worst:.2g} deviations"
+        return "successful"
+
+
+class _Iterate(NamedTuple):
+    """States, and the damping of the next step."""
+
+    xs: Arrays
+    damping: jax.Array
+    iterations: jax.Array
+    step: jax.Array
+    done: jax.Array
+
+
+class _Data(NamedTuple):
+    """What is the same in all iterations: that of `RunStages`, and by measurement its values and which exist."""
+
+    ts: jax.Array
+    hs: jax.Array
+    controls: Arrays
+    x0: Arrays
+    P0: jax.Array
+    params: Arrays
+    values: dict[str, jax.Array]
+    present: dict[str, jax.Array]
+
+    def at(self, x: Arrays, t: jax.Array, u: Arrays) -> OperatingPoint:
+        return OperatingPoint(t, x, u, self.params)
+
+
+class BatchSmoother:
+    """The states at all times that maximise the posterior density of nonlinear dynamics and measurements.
+
+    With the prediction f over an interval, the covariance Q of its noise, and residuals r of measurements, it minimises
+
+        $1/2 |Log(x0^-1 x_0)|^2_(P0) + 1/2 sum_k |Log(f(x_(k-1))^-1 x_k)|^2_Q + 1/2 sum rho(|r|^2_R)$.
+
+    A Gauss-Newton step is the smoother of the linearised problem: a Riccati recursion over the stages, of cost linear
+    in their number. No covariance is inverted, so states without noise are allowed; they obey their dynamics at each
+    iterate. A step that raises the cost is tried again with Levenberg-Marquardt damping. The first iterate is that of
+    `ErrorStateKalman` and `RauchTungStriebel`.
+
+    Args:
+        dynamics, measurements, method, max_step: as of `ErrorStateKalman`.
+        losses: by measurement a `RobustLoss`; squares if left out.
+        max_iterations: steps at most.
+        tolerance: the last step in standard deviations; the square root of the round-off if left out.
+    Raises:
+        ModelError: what `ErrorStateKalman` refuses; a loss that is none, or of an unknown measurement.
+
+    Example: `tx.estimation.BatchSmoother(dynamics, [gps]).run({"gps": (times, positions)}, x0, P0).xs`.
+
+    Source: Bell, The iterated Kalman smoother as a Gauss-Newton method, SIAM J. Optim. 4 (1994); damped steps Sarkka,
+    Svensson, Levenberg-Marquardt and line-search extended Kalman smoothers, ICASSP (2020).
+    """
+
+    def __init__(
+        self,
+        dynamics: Dynamics,
+        measurements: Iterable[Measurement],
+        *,
+        losses: Mapping[str, RobustLoss] | None = None,
+        method: Any = None,
+        max_step: float | None = None,
+        max_iterations: int = 50,
+        tolerance: float | None = None,
+    ) -> None:
+        self.kalman = ErrorStateKalman(dynamics, measurements, method=method, max_step=max_step)
+        self.model, self.losses = self.kalman.model, dict(losses or {})
+        for name, loss in self.losses.items():
+            if name not in self.model.measurements:
+                raise ModelError(
+                    f"losses names {name!r}, but the measurements are {listed(self.model.measurements, name)}"
+                )
+            if not isinstance(loss, RobustLoss):
+                raise ModelError(f"losses[{name!r}] expects a RobustLoss such as HuberLoss(), got {loss!r}")
+        whole("max_iterations", max_iterations, 1, ModelError)
+        if tolerance is not None:
+            number("tolerance", tolerance, "a positive number", lambda size: size > 0.0, ModelError)
+        self.max_iterations, self.tolerance = max_iterations, tolerance
+
+    def run(
+        self,
+        records: Records,
+        x0: Values,
+        P0: Any,
+        *,
+        t0: float | None = None,
+        u: Mapping[str, Any] | Callable[[Any], Mapping[str, Any]] | None = None,
+        params: Values | None = None,
+        save_at: Any = (),
+        guess: Mapping[str, Any] | None = None,
+    ) -> BatchEstimate:
+        """The most probable states over records. Arguments are those of a filter's run.
+
+        Args:
+            guess: states by name at all times, (k, *shape), to begin with; smoothed ones of a filter if left out.
+        Raises:
+            InputError, ShapeError, EstimationError: what the run of a filter raises; a guess that does not fit;
+                iterations that do not converge, unless traced.
+        """
+        stages = self.kalman.staged(records, x0, P0, t0, u, params, save_at)
+        if guess is None:
+            run = self.kalman.run(records, x0, P0, t0=t0, u=u, params=params, save_at=save_at)
+            first = run.smooth().xs
+        else:
+            first = self._guess(guess, stages)
+        data = _Data(*stages[1:], stages.timeline.values, stages.timeline.present)
+        xs, P, cost, weights, last = self._solve(first, data)
+        rows = stages.timeline.rows
+        by_record = {name: weights[name][rows[name]] for name in weights}
+        estimate = BatchEstimate(stages.ts, xs, P, cost, by_record, last.iterations, last.step, last.done)
+        if not is_traced(cost) and (result := estimate.result) != "successful":
+            raise EstimationError(
+                f"the batch of measurements is {result}.\n  fix: another guess=..., max_iterations=..., robust losses"
+            )
+        return estimate
+
+    def _guess(self, guess: Mapping[str, Any], stages: RunStages) -> Arrays:
+        states = {}
+        for name, x in stages.x0.items():
+            if name not in guess:
+                raise InputError(f"guess needs the state {name!r}, got {listed(guess)}")
+            states[name] = jnp.asarray(guess[name], x.dtype)
+            if states[name].shape != (len(stages.ts), *x.shape):
+                raise ShapeError(
+                    f"guess[{name!r}] expects shape {(len(stages.ts), *x.shape)}, got {states[name].shape}"
+                )
+        return states
+
+    @functools.cached_property
+    def _solve(self) -> Callable[..., Any]:
+        return jax.jit(self._solved)
+
+    def _solved(self, xs: Arrays, data: _Data) -> Any:
+        dtype, size = data.P0.dtype, (len(data.ts), self.model.dimension)
+        round_off = float(jnp.finfo(dtype).eps)
+        tolerance = np.sqrt(round_off) if self.tolerance is None else self.tolerance
+        zero, still = jnp.zeros((), dtype), jnp.zeros(size, dtype)
+        _, P = smoothed(self._linearized(data, xs)[0], zero, still + 1.0)
+        variances = jnp.diagonal(P, axis1=1, axis2=2)
+        scale = jnp.where(variances > 0.0, variances, 1.0)
+
+        def tried(iterate: _Iterate) -> _Iterate:
+            stages, Qs = self._linearized(data, iterate.xs)
+            d, _ = smoothed(stages, iterate.damping, scale)
+            # Both costs with the covariances of this iterate, whose derivatives a Gauss-Newton step leaves out.
+            Rs = {name: sensed.R for name, sensed in stages.sensed.items()}
+            (_, before), (new, after) = (self._moved(data, Qs, Rs, iterate.xs, by) for by in (still, d))
+            better = after <= before * (1.0 + 16.0 * round_off)
+            step = jnp.sqrt(jnp.max(jnp.mean(d * d / scale, axis=1)))
+            down = jnp.where(iterate.damping > _DAMPING, iterate.damping / _FACTOR, zero)
+            up = jnp.maximum(iterate.damping * _FACTOR, jnp.asarray(_DAMPING, dtype))
+            return _Iterate(
+                jax.tree.map(lambda a, b: jnp.where(better, a, b), new, iterate.xs),
+                jnp.where(better, down, up),
+                iterate.iterations + 1,
+                step,
+                (step < tolerance) & (iterate.damping == 0.0),
+            )
+
+        def going(iterate: _Iterate) -> jax.Array:
+            return ~iterate.done & (iterate.iterations < self.max_iterations) & (iterate.damping < _MOST)
+
+        def settled(xs: Arrays) -> tuple[Arrays, jax.Array, LinearStage]:
+            """The states as those without noise obey the dynamics, their cost and the stages about them."""
+            stages, Qs = self._linearized(data, xs)
+            return *self._moved(data, Qs, {name: one.R for name, one in stages.sensed.items()}, xs, still), stages
+
+        start = _Iterate(settled(xs)[0], zero, jnp.zeros((), jnp.int32), zero + jnp.inf, jnp.zeros((), bool))
+        last = jax.lax.while_loop(going, tried, start)
+        xs, cost, stages = settled(last.xs)
+        _, P = smoothed(stages, zero, scale)
+        return xs, P, cost, {name: sensed.weight for name, sensed in stages.sensed.items()}, last
+
+    def _linearized(self, data: _Data, xs: Arrays) -> tuple[LinearStage, jax.Array]:
+        """All stages about the states, the prior first, and the covariances of their noise about the predictions."""
+        group, n = self.model.group, self.model.dimension
+
+        def stage(x: Arrays, following: Arrays, t: Any, h: Any, u: Any) -> Any:
+            y, transition, Q = self.model.step(data.at(x, t - h, u), h)
+            return *_about(group, y, following, transition, Q), Q
+
+        before, after = jax.tree.map(lambda a: a[:-1], xs), jax.tree.map(lambda a: a[1:], xs)
+        ts, hs, controls = jax.tree.map(lambda a: a[1:], data[:3])
+        rest = jax.vmap(stage)(before, after, ts, hs, controls)
+        nothing = jnp.zeros((n, n), data.P0.dtype)
+        first = *_about(group, data.x0, jax.tree.map(lambda a: a[0], xs), nothing, data.P0), data.P0
+        F, e, Q, Qs = (jnp.concatenate([a[None], b]) for a, b in zip(first, rest, strict=True))
+        return LinearStage(F, e, Q, {name: self._sensed(name, data, xs) for name in data.values}), Qs
+
+    def _sensed(self, name: str, data: _Data, xs: Arrays) -> Sensed:
+        """A measurement about the states at all times."""
+
+        def one(t: Any, x: Arrays, u: Arrays, z: Any) -> tuple[jax.Array, ...]:
+            value, H, R = self.model.sensitivity(name, data.at(x, t, u))
+            return self.model.measurements[name].group.difference(value, z), H, R
+
+        residual, H, R = jax.vmap(one)(data.ts, xs, data.controls, data.values[name])
+        weight, _ = self._loss(name, data, residual, R)
+        return Sensed(residual, H, R, weight)
+
+    def _loss(self, name: str, data: _Data, residual: jax.Array, R: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """The weights and losses of residuals at all times, (k,); zero where the record is missing."""
+        s = jax.vmap(lambda r, R: r @ cho_solve((jnp.linalg.cholesky(R), True), r))(residual, R)
+        loss, seen = self.losses.get(name), data.present[name]
+        weight, cost = (jnp.ones_like(s), s) if loss is None else (loss.weight(s), loss.cost(s))
+        return jnp.where(seen, weight, 0.0), jnp.where(seen, cost, 0.0)
+
+    def _moved(
+        self, data: _Data, Qs: jax.Array, Rs: dict[str, jax.Array], xs: Arrays, d: jax.Array
+    ) -> tuple[Arrays, jax.Array]:
+        """The states x Exp(d), of which parts without noise obey the dynamics, and the cost with these covariances."""
+        group = self.model.group
+        targets = jax.vmap(group.retract)(xs, d)
+
+        def reached(y: Arrays, target: Arrays, Q: jax.Array) -> tuple[Arrays, jax.Array]:
+            w, cost = in_range(Q, group.difference(y, target))
+            return group.retract(y, w), cost
+
+        def advance(x: Arrays, row: Any) -> tuple[Arrays, Any]:
+            target, t, h, u, Q = row
+            x, cost = reached(self.model.moved(data.at(x, t - h, u), h), target, Q)
+            return x, (x, cost)
+
+        rows = (targets, *data[:3], Qs)
+        first, prior = reached(data.x0, jax.tree.map(lambda a: a[0], targets), Qs[0])
+        _, (later, costs) = jax.lax.scan(advance, first, jax.tree.map(lambda a: a[1:], rows))
+        moved = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, later)
+        total = prior + jnp.sum(costs)
+        for name, R in Rs.items():
+            measured = jax.vmap(lambda t, x, u, name=name: self.model.measured(name, data.at(x, t, u)))
+            difference = jax.vmap(self.model.measurements[name].group.difference)
+            residual = difference(measured(data.ts, moved, data.controls), data.values[name])
+            total = total + jnp.sum(self._loss(name, data, residual, R)[1])
+        return moved, 0.5 * total
+
+
+def _about(
+    group: Product, y: Arrays, x: Arrays, transition: jax.Array, Q: jax.Array
+) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """F, e and the covariance of $d_k = F d_(k-1) - e + w$ about a state x that the prediction y misses by e."""
+    e = group.difference(y, x)
+    moved = group.right_jacobian(e)
+    return group.Ad(group.exp(-e)) @ transition, e, moved @ Q @ moved.T

@@ -1,0 +1,80 @@
+"""Losses of residuals that count outliers less than squares do."""
+
+from __future__ import annotations
+
+import dataclasses
+from abc import ABC, abstractmethod
+
+import jax
+import jax.numpy as jnp
+
+from ...checks import number
+from ...errors import ModelError
+
+
+class RobustLoss(ABC):
+    """A loss rho(s) of the normalised residual squared $s = r^T R^-1 r$, with rho(s) = s near zero.
+
+    Raises: nothing.
+    """
+
+    @abstractmethod
+    def cost(self, s: jax.Array) -> jax.Array:
+        """rho(s)."""
+
+    @abstractmethod
+    def weight(self, s: jax.Array) -> jax.Array:
+        """$rho'(s)$, by which the information of the measurement is multiplied."""
+
+
+def _check(loss: RobustLoss, width: float) -> None:
+    number(f"{type(loss).__name__}: width", width, "a positive number", lambda w: w > 0.0, ModelError)
+
+
+@dataclasses.dataclass(frozen=True)
+class HuberLoss(RobustLoss):
+    """rho(s) = s to a residual of `width` standard deviations, beyond it linear, $2 w s^(1/2) - w^2$.
+
+    Attributes:
+        width: w, dimensionless.
+    Raises: ModelError for a width that is not positive.
+
+    Source: Huber, Robust estimation of a location parameter, Ann. Math. Statist. 35 (1964).
+    """
+
+    width: float = 1.345
+
+    def __post_init__(self) -> None:
+        _check(self, self.width)
+
+    def cost(self, s: jax.Array) -> jax.Array:
+        return jnp.where(s <= self.width**2, s, 2.0 * self.width * jnp.sqrt(self._outside(s)) - self.width**2)
+
+    def weight(self, s: jax.Array) -> jax.Array:
+        return jnp.where(s <= self.width**2, jnp.ones_like(s), self.width / jnp.sqrt(self._outside(s)))
+
+    def _outside(self, s: jax.Array) -> jax.Array:
+        return jnp.maximum(s, self.width**2)
+
+
+@dataclasses.dataclass(frozen=True)
+class CauchyLoss(RobustLoss):
+    """$rho(s) = w^2 log(1 + s / w^2)$: outliers far away hardly count.
+
+    Attributes:
+        width: w, dimensionless.
+    Raises: ModelError for a width that is not positive.
+
+    Source: Black, Anandan, The robust estimation of multiple motions, CVIU 63 (1996), of the Lorentzian.
+    """
+
+    width: float = 2.385
+
+    def __post_init__(self) -> None:
+        _check(self, self.width)
+
+    def cost(self, s: jax.Array) -> jax.Array:
+        return self.width**2 * jnp.log1p(s / self.width**2)
+
+    def weight(self, s: jax.Array) -> jax.Array:
+        return 1.0 / (1.0 + s / self.width**2)

@@ -1,0 +1,1 @@
+"""Groups of a rotation and several vectors."""

@@ -1,0 +1,59 @@
+"""When a run begins and ends, which times it has, and covariances that are known only then."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import twistax as tx
+from twistax.estimation import ErrorStateKalman
+
+x = tx.State("x")
+INTEGRATOR = tx.compile(tx.System(rates={x: tx.Control("u") + tx.Noise("w", density=0.1)}))
+KALMAN = ErrorStateKalman(INTEGRATOR, [tx.Measurement("y", x, covariance=0.04)])
+TABLE = tx.ZeroOrderHold([0.0, 1.0, 2.0, 3.0, 4.0], [1.0, 2.0, 3.0, 4.0, 5.0])
+
+
+def run(**options: Any) -> Any:
+    arguments: dict[str, Any] = {"records": {"y": ([1.5, 2.5], [0.0, 0.0])}, "u": {"u": TABLE}} | options
+    return KALMAN.run(arguments.pop("records"), {"x": 0.0}, 1.0, **arguments)
+
+
+def test_a_run_begins_with_its_records_and_ends_with_them() -> None:
+    """Jumps of the controls before and after are no times of the run: x0 is the estimate at the first record."""
+    result = run()
+    np.testing.assert_array_equal(result.ts, [1.5, 2.0, 2.5])
+    np.testing.assert_allclose(result.prior_P[0], [[1.0]])
+    np.testing.assert_allclose(result.prior_xs["x"][1] - result.xs["x"][0], 2.0 * 0.5, atol=1e-12)
+
+
+def test_more_times_reach_further() -> None:
+    np.testing.assert_array_equal(run(save_at=[3.5]).ts, [1.5, 2.0, 2.5, 3.0, 3.5])
+    np.testing.assert_array_equal(run(t0=0.5).ts, [0.5, 1.0, 1.5, 2.0, 2.5])
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"save_at": [0.5], "t0": 1.0}, "save_at has the time 0.5, before the start t0 = 1"),
+        ({"save_at": [np.inf]}, "save_at expects finite times"),
+    ],
+)
+def test_times_that_cannot_be_are_refused(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(tx.InputError, match=message):
+        run(**options)
+
+
+@pytest.mark.parametrize("covariance", [0.0, -0.5])
+def test_a_covariance_that_is_not_positive_in_the_run_is_named(covariance: float) -> None:
+    """A number is refused when the measurement is made; the value of an expression is known here."""
+    variable = tx.Measurement("y", x, covariance=tx.Parameter("R"))
+    kalman = ErrorStateKalman(INTEGRATOR, [variable])
+    with pytest.raises(tx.EstimationError, match="covariance of a measurement not positive definite at t = 2 s"):
+        kalman.run({"y": ([2.0], [0.0])}, {"x": 0.0}, 1.0, t0=0.0, u={"u": 0.0}, params={"R": covariance})
+
+
+def test_noise_without_density_is_no_covariance() -> None:
+    silent = tx.Measurement("y", x + tx.Noise("n", density=0.0), period=0.1)
+    with pytest.raises(tx.EstimationError, match="not positive definite"):
+        ErrorStateKalman(INTEGRATOR, [silent]).run({"y": ([2.0], [0.0])}, {"x": 0.0}, 1.0, u={"u": 0.0})
