@@ -27,6 +27,7 @@ EXTRAS = {
     "docs": ("sphinx", "myst-parser", "furo"),
     "view": ("viser",),
     "video": ("imageio-ffmpeg",),
+    "fmu": ("fmpy",),
     "cuda": ("jax-cuda12-plugin",),
 }
 

@@ -49,7 +49,12 @@ ROWS = [
     bad("a peak to be made large", lambda: problem(objective=tx.Maximize(peak)), "Maximum(force)", "small"),
     bad("a peak that equals", lambda: problem(final=[peak == 1.0]), "Maximum(force)", "<="),
     bad("a peak at a node", lambda: problem(at={2: peak <= 1.0}), "Maximum(force)", "whole path"),
-    bad("an integral at the start", lambda: problem(initial=[X, work <= 1.0]), "Integral(force ** 2.)", "begun"),
+    bad(
+        "an integral at the start",
+        lambda: problem(initial=[X, work <= 1.0]),
+        "Integral(force ** 2.)",
+        "not defined at the start",
+    ),
     bad("an integral as a rate", lambda: tx.System(rates={position: work}), "Integral(force ** 2.)", "final="),
     bad("limits at a solve of what is not free", lambda: easy().solve(free={"mass": (1.0, 2.0)}), "'mass'", "free"),
     bad("limits at a solve that are a number", lambda: easy().solve(free=3.0), "free", "3.0"),

@@ -17,6 +17,7 @@ from twistax.expr import Expr
 OTHER: dict[str, Callable[[Any], Any]] = {
     "order": lambda order: tx.ANGULAR_FIRST if order is tx.LINEAR_FIRST else tx.LINEAR_FIRST,
     "inverse": lambda inverse: not inverse,
+    "copies": lambda copies: not copies,
     "columns": lambda columns: columns + 1,
     "index": lambda index: (index, None),
     "delta": lambda delta: np.nextafter(delta, 2.0),

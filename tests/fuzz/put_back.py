@@ -119,7 +119,7 @@ TABLE = [
         'g.select(on(g, "eq", *a), g.constant(0.5), g.zero)',
         "g.zero",
     ),
-    ("axis of Vmap", "in_axes=self.axis", "in_axes=0"),
+    ("axis of Vmap", "in_axes = (*[self.axis] * count", "in_axes = (*[0] * count"),
     (
         "batches along another axis",
         "in unbatched else batching.bdim_at_front(a, d, size)",

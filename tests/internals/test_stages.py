@@ -11,7 +11,7 @@ import pytest
 import twistax as tx
 from twistax.integrators.methods.rkmk import stage_slopes
 from twistax.integrators.tableaus import ButcherTableau, StageRows
-from twistax.scalar.small_call import held, small_call
+from twistax.scalar.small_call import small_call, stored_once
 
 pytestmark = pytest.mark.skipif(jax.default_backend() != "cpu", reason="small calls are for the CPU")
 
@@ -62,4 +62,4 @@ def test_held_numbers_are_worked_out_once() -> None:
 
         return jax.jit(lambda x: small_call(f, x)).lower(jnp.ones(8)).compile().as_text().count(" multiply(")
 
-    assert products(held) < 0.5 * products(lambda pair: pair)
+    assert products(stored_once) < 0.5 * products(lambda pair: pair)

@@ -316,6 +316,7 @@ def test_signs_of_unsigned_integers() -> None:
     close(tx.fast(function)(X, u), jax.jit(function)(X, u))
 
 
+@pytest.mark.filterwarnings("ignore:.*gains nothing")
 def test_a_large_state_stays_an_array() -> None:
     def function(a: jax.Array) -> jax.Array:
         return jax.lax.fori_loop(0, 300, lambda k, c: jnp.tanh(a @ c), a)

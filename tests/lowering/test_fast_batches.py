@@ -231,3 +231,15 @@ def test_a_length_that_is_that_of_other_axes_too() -> None:
 
 def _poly(row: jax.Array) -> jax.Array:
     return jnp.sin(row) * jnp.cos(row[::-1]) + jnp.tanh(row[0]) - jnp.cumsum(row, 0)
+
+
+def test_rows_that_are_constant_leave_a_loop_one_kernel() -> None:
+    """Its iterations read one row each: the 400 rows are no batch."""
+
+    def walk(x: Any) -> Any:
+        rows = jnp.linspace(0.0, 1.0, 400)
+        return jax.lax.scan(lambda x, k: (x + 0.01 * jnp.tanh(jnp.sin(x) * jnp.exp(-x) + k), x), x, rows)
+
+    x = jnp.full(3, 0.3)
+    assert str(tx.fast(walk).explain(x)) == "scan: all iterations in one kernel"
+    np.testing.assert_allclose(tx.fast(walk)(x)[1], jax.jit(walk)(x)[1], rtol=1e-12)

@@ -256,7 +256,7 @@ def test_equalities_are_loops_and_followers(driven: str, tmp_path: Path) -> None
     robot, model = mechanics.load(path), mujoco_model(path)
     assert [repr(loop) for loop in robot.loops] == [
         "PointLoop('knuckle', 'knuckle on coupler', 'knuckle on rocker')",
-        "Pose('tie', 'tie on raft', 'tie on gear')",
+        "PoseLoop('tie', 'tie on raft', 'tie on gear')",
     ]
     assert robot.notes == (
         "equality 'post', which the file switches off",

@@ -14,7 +14,6 @@ import twistax as tx
 from twistax import mechanics
 from twistax.errors import InputError, ModelError
 from twistax.mechanics import Drive, Link, Mechanism, Mimic, ReachStatus, joints, reach
-from twistax.mechanics.chain_models import equal_links
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 Z = (0.0, 0.0, 1.0)
@@ -161,7 +160,7 @@ def test_precision_is_that_of_the_target() -> None:
 
 
 def test_what_cannot_be_asked_for(unchecked: None) -> None:
-    arm, T = equal_links(2), np.eye(4)
+    arm, T = mechanics.chain_models.equal_links(2), np.eye(4)
     wrong: list[tuple[Any, str]] = [
         ({"hand": T}, "no frame 'hand'"),
         ({}, "expects targets by the names of frames"),

@@ -16,7 +16,7 @@ SECTIONS = [
     ("extending.md", "A group", "check_group"),
     ("extending.md", "A tableau", "check_tableau"),
     ("mechanics.md", "Adding a joint", "check_joint"),
-    ("scenes.md", "One of your own", "check_scene"),
+    ("scenes.md", "A new scene", "check_scene"),
 ]
 
 

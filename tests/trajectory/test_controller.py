@@ -290,7 +290,7 @@ def test_problems_without_a_measured_start_are_refused() -> None:
         with pytest.raises(tx.TrajectoryError, match=match):
             Problem(dynamics, cost, **of_all, **options).controller()
     uneven = Problem(dynamics, cost, **{**of_all, "nodes": [0.0, 0.2, 1.0]}, initial={p: 0.0}).controller()
-    with pytest.raises(tx.TrajectoryError, match="intervals of other lengths"):
+    with pytest.raises(tx.TrajectoryError, match="intervals have different lengths"):
         uneven.shift()
 
 

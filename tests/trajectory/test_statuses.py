@@ -84,9 +84,9 @@ def test_values_that_are_not_finite_are_said() -> None:
     assert "'dynamics of p' between nodes 0 and 1 is nan" in result.message
     assert result.accuracy is None
     for read in ("mesh_error", "between_nodes", "dense", "extremes"):
-        with pytest.raises(tx.TrajectoryError, match="no rollout of a point that is not finite"):
+        with pytest.raises(tx.TrajectoryError, match="a point that is not finite has no rollout"):
             getattr(result, read)
-    assert "no finer rollout: there is no rollout of a point that is not finite" in result.explain()
+    assert "no finer rollout: a point that is not finite has no rollout" in result.explain()
 
 
 @functools.cache

@@ -103,7 +103,7 @@ class ErrorStateKalman(Filter):
         Returns:
             The paths: `header`, `source`, `test`.
         Raises:
-            ModelError: a part has no form in scalars, as the exponential of `VanLoan()`; two names become one in C.
+            ModelError: a part has no scalar form, as the exponential of `VanLoan()`; two names become one in C.
             InputError: a name or type that C has not; the directory cannot be written to, or holds other files of
                 those names.
         """

@@ -158,7 +158,7 @@ class Filter(ABC):
             t0: s; the first time of the records and of `save_at` if left out.
             u: controls: constants, tables such as `tx.ZeroOrderHold`, or a function of t that gives a dict. They are
                 held over each step, with their value in its middle; a step ends where a table jumps.
-            save_at: more times at which the estimate is wanted, in s.
+            save_at: more times of the estimate, in s.
         Raises:
             InputError, ShapeError: records, estimates or controls that do not fit the filter; a covariance P0 that is
                 not positive semidefinite.

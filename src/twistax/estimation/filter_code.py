@@ -29,7 +29,7 @@ def write_filter(kalman: Filter, directory: str | Path, *, name: str, dtype: Any
     model = kalman.model
     if isinstance(model.noise, VanLoan):
         raise ModelError(
-            "to_c: the matrix exponential of VanLoan() has no form in scalars.\n"
+            "to_c: the matrix exponential of VanLoan() has no scalar form.\n"
             f"  fix: {type(kalman).__name__}(..., noise=tx.estimation.Trapezoidal())"
         )
     # As arrays all through: kernels have no form in C.

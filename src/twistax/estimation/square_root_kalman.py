@@ -36,9 +36,9 @@ class SquareRootKalman(ErrorStateKalman):
     """
 
     def to_c(self, directory: str | Path, **options: Any) -> CFiles:
-        """Raises ModelError: a QR factorisation has no form in scalars. `ErrorStateKalman` has code in C."""
+        """Raises ModelError: a QR factorisation has no scalar form. `ErrorStateKalman` has code in C."""
         raise ModelError(
-            "to_c: the QR factorisation of SquareRootKalman has no form in scalars.\n"
+            "to_c: the QR factorisation of SquareRootKalman has no scalar form.\n"
             "  fix: ErrorStateKalman(..., noise=tx.estimation.Trapezoidal()).to_c(...)"
         )
 

@@ -97,7 +97,9 @@ class BatchSmoother:
 
     With the prediction f over an interval, the covariance Q of its noise, and residuals r of measurements, it minimises
 
-        $1/2 |Log(x0^-1 x_0)|^2_(P0) + 1/2 sum_k |Log(f(x_(k-1))^-1 x_k)|^2_Q + 1/2 sum rho(|r|^2_R)$.
+        $1/2 d_0^T P_0^-1 d_0 + 1/2 sum_k d_k^T Q^-1 d_k + 1/2 sum rho(r^T R^-1 r)$,
+
+    where d_0 is the difference of the first state from its estimate, and d_k that of a state from its prediction.
 
     A Gauss-Newton step is the smoother of the linearised problem: a Riccati recursion over the stages, of cost linear
     in their number. No covariance is inverted, so states without noise are allowed; they obey their dynamics at each

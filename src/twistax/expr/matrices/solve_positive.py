@@ -109,7 +109,7 @@ class InversePositive(_OfPositive):
 class InverseFactor(_OfPositive):
     """V, lower triangular, with $A^-1 = V V^T$ of a symmetric positive definite A. Shape: (n, n) -> (n, n).
 
-    For many sparse right-hand sides: x = V (V^T b) omits structural zeros of intermediate results.
+    For many sparse right-hand sides: $x = V (V^T b)$ omits structural zeros of intermediate results.
 
     Raises: ShapeError if the operand is not a square matrix.
     """

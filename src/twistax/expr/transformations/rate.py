@@ -45,8 +45,9 @@ _AT_REST = (State, Control, _Placeholder)
 
 
 class Rate(Expr):
-    """$de/dt$ of an expression e by forward differentiation: the sum of its partial derivatives times the rates of
-    leaves.
+    """$de/dt$ of an expression e by forward differentiation.
+
+    It is the sum of the partial derivatives of e times the rates of its leaves.
 
     Shape: that of the expression. Time has the rate 1, parameters and constants have none. The rate of a state on a
     group is its body velocity, as in the rates of a System. A rate of a rate is the second derivative. Units: those of

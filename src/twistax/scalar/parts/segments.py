@@ -209,15 +209,18 @@ class _Operands:
 
     def __init__(self, constants: Constants, eqn: Any) -> None:
         self.is_known = [isinstance(v, Literal) or v in constants.known for v in eqn.invars]
-        known = [v for v, is_known in zip(eqn.invars, self.is_known, strict=True) if is_known]
+        self._known = [v for v, is_known in zip(eqn.invars, self.is_known, strict=True) if is_known]
         self.inputs = [v for v, is_known in zip(eqn.invars, self.is_known, strict=True) if not is_known]
-        self._types = [v.aval.dtype for v in known]
-        self._known = jaxpr_as_fun(constants.close([], known))
+        self._constants = constants
 
     def joined(self, values: Iterable[Any], count: int | None = None) -> list[Any]:
         """The first `count` arguments, from the values of those that are inputs."""
-        known, inputs = iter(map(jnp.asarray, self._known(), self._types)), iter(values)
-        return [next(known if is_known else inputs) for is_known in self.is_known[:count]]
+        is_known = self.is_known[:count]
+        variables = self._known[: sum(is_known)]  # others, such as long rows, are not computed
+        numbers = jaxpr_as_fun(self._constants.close([], variables))()
+        known = (jnp.asarray(number, v.aval.dtype) for number, v in zip(numbers, variables, strict=True))
+        inputs = iter(values)
+        return [next(known if inside else inputs) for inside in is_known]
 
 
 def _branches(operands: _Operands, eqn: Any, backend: Backend) -> Part:

@@ -129,7 +129,7 @@ class Exporter:
         """A function of t, x, u, params and more arguments, which come with values for references.
 
         Raises:
-            ModelError: it has no form in scalars, or the program is too large.
+            ModelError: it has no scalar form, or the program is too large.
         """
 
         def arrays(*values: jax.Array) -> list[jax.Array]:

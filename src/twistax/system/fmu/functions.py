@@ -47,7 +47,7 @@ class UnitFunctions:
         """The functions: head in C, program, and text of the body.
 
         Raises:
-            ModelError: a part has no form in scalars.
+            ModelError: a part has no scalar form.
         """
         with jax.enable_x64(True):
             closed = jax.make_jaxpr(self._values)(*map(_shaped, self.arguments))
