@@ -12,20 +12,20 @@ from typing import Any, TypeAlias
 
 
 @dataclasses.dataclass(frozen=True)
-class Moves:
+class BodyMotion:
     """The twist of a sum of bodies. Where the coefficients do not add up to zero, the rest is relative to a body that
     is not known.
     """
 
     bodies: Mapping[str, int]
 
-    def times(self, factor: int) -> Moves:
-        return Moves({name: factor * n for name, n in self.bodies.items()})
+    def times(self, factor: int) -> BodyMotion:
+        return BodyMotion({name: factor * n for name, n in self.bodies.items()})
 
-    def plus(self, other: Moves) -> Moves:
+    def plus(self, other: BodyMotion) -> BodyMotion:
         names = dict.fromkeys([*self.bodies, *other.bodies])
         total = {name: self.bodies.get(name, 0) + other.bodies.get(name, 0) for name in names}
-        return Moves({name: n for name, n in total.items() if n})
+        return BodyMotion({name: n for name, n in total.items() if n})
 
     @property
     def complete(self) -> bool:
@@ -36,7 +36,7 @@ class Moves:
         """Whether it is a multiple of the twist of one body relative to another one, or may be."""
         return not self.complete or len(self.bodies) in (0, 2)
 
-    def fits(self, other: Moves) -> bool:
+    def fits(self, other: BodyMotion) -> bool:
         """Whether both can be one twist."""
         difference = self.plus(other.times(-1))
         return not difference.bodies or (len(difference.bodies) == 1 and not (self.complete and other.complete))
@@ -58,7 +58,7 @@ class Acts:
 
 
 #: What is known of the bodies of a value; None: nothing.
-Bodies: TypeAlias = "Moves | Acts | None"
+Bodies: TypeAlias = "BodyMotion | Acts | None"
 
 
 class BodyClash(Exception):
@@ -77,9 +77,9 @@ def summed(values: Sequence[Any], known: Sequence[Bodies], signs: Sequence[int])
             raise BodyClash("wrenches on two bodies are added", acting[0], pair)
     if acting:
         return acting[0][1]
-    total = Moves({})
+    total = BodyMotion({})
     for bodies, sign in zip(known, signs, strict=True):
-        if not isinstance(bodies, Moves):
+        if not isinstance(bodies, BodyMotion):
             return None
         total = total.plus(bodies.times(sign))
     return total

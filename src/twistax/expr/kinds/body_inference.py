@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 from ...errors import KindError
 from ..leaves import Leaf, State
 from ..node import Expr
-from .bodies import Acts, Bodies, BodyClash, Moves
+from .bodies import Acts, Bodies, BodyClash, BodyMotion
 from .declare import kind_of
 from .rules import OPEN
 
@@ -30,7 +30,7 @@ class BodyInference:
         self._place, self._short = place, short
         self._known: dict[int, Bodies] = {}
         known = [_declared_bodies(leaf) for leaf in leaves]
-        names = {name for bodies in known if isinstance(bodies, Moves) for name in bodies.bodies}
+        names = {name for bodies in known if isinstance(bodies, BodyMotion) for name in bodies.bodies}
         #: The body that each frame is fixed to, with the place that says so.
         self._body_of: dict[str, tuple[str, str]] = {name: (name, "the body of that name") for name in names}
 
@@ -50,7 +50,7 @@ class BodyInference:
                 raise self._refused(str(clash), node, clash.values, _FIX_WRENCH) from None
             declared = _declared_bodies(node)
             self._known[id(node)] = bodies or declared
-            if isinstance(bodies, Moves) and isinstance(declared, Moves) and not bodies.fits(declared):
+            if isinstance(bodies, BodyMotion) and isinstance(declared, BodyMotion) and not bodies.fits(declared):
                 raise self._refused("a twist is declared as that of another body", node, ((node, bodies),), _FIX)
             if bodies is None:
                 for child, of_child in zip(children, known, strict=True):
@@ -63,11 +63,11 @@ class BodyInference:
     def read_rate(self, state: State, rate: Expr) -> None:
         """A rate is of the bodies of its state; that of a pose is of its frame on the right, relative to the left."""
         of_rate, place = self._known.get(id(rate)), f"the rate of {state.name!r}"
-        if not isinstance(of_rate, Moves):
+        if not isinstance(of_rate, BodyMotion):
             return
         self._one_body(rate, of_rate)
         of_state, kind = _declared_bodies(state), kind_of(state)
-        if isinstance(of_state, Moves) and not of_state.fits(of_rate):
+        if isinstance(of_state, BodyMotion) and not of_state.fits(of_rate):
             values = ((state, of_state), (rate, of_rate))
             raise self._refused(f"the twist of {state.name!r} has the rate of another one", place, values, _FIX)
         if state.group.rigid and kind is not None and of_rate.complete and len(of_rate.bodies) == 2:
@@ -84,7 +84,7 @@ class BodyInference:
                     )
 
     def _one_body(self, value: Expr, bodies: Bodies) -> None:
-        if isinstance(bodies, Moves) and not bodies.of_one_body:
+        if isinstance(bodies, BodyMotion) and not bodies.of_one_body:
             raise self._refused("twists do not add up to one of a body", value, ((value, bodies),), _FIX)
 
     def _refused(self, sentence: str, at: Expr | str, values: Iterable[tuple[Expr, Bodies]], fix: str) -> KindError:

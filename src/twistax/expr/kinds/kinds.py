@@ -7,7 +7,7 @@ import enum
 from typing import Any, ClassVar
 
 from ...errors import ModelError
-from .bodies import Acts, Bodies, Moves
+from .bodies import Acts, Bodies, BodyMotion
 from .unit import JOULE, KILOGRAM, METRE, ONE, SECOND, Unit, parsed
 
 Shape = tuple[int, ...]
@@ -95,7 +95,7 @@ class Twist(_OfSix):
 
     def bodies(self) -> Bodies:
         known = {self.of: 1, self.relative_to: -1}
-        return Moves({name: n for name, n in known.items() if name}) if self.of != self.relative_to else None
+        return BodyMotion({name: n for name, n in known.items() if name}) if self.of != self.relative_to else None
 
 
 @dataclasses.dataclass(frozen=True)

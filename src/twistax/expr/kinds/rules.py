@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Sequence
 from fractions import Fraction
 from typing import Any, ClassVar, TypeAlias
 
-from .bodies import Acts, Bodies, Moves, summed
+from .bodies import Acts, Bodies, BodyMotion, summed
 from .kinds import Space
 from .unit import ONE, Unit
 
@@ -325,7 +325,7 @@ class Solved(MatrixRule):
     """A^-1 b: what a wrench on a body gives is the acceleration of that body."""
 
     def bodies(self, node: Any, known: Sequence[Bodies]) -> Bodies:
-        return Moves({known[-1].on: 1}) if isinstance(known[-1], Acts) else None
+        return BodyMotion({known[-1].on: 1}) if isinstance(known[-1], Acts) else None
 
 
 SUM, DIFFERENCE, NEGATIVE = Terms(signs=(1,)), Terms(signs=(1, -1)), Terms(signs=(-1,))
