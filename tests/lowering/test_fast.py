@@ -110,6 +110,7 @@ def test_forward_is_reverse_is_numeric() -> None:
     check_grads(tx.fast(lambda x: counted(A, x)), (X,), order=2, modes=("fwd", "rev"), rtol=1e-6, eps=1e-4)
 
 
+@pytest.mark.filterwarnings("ignore:.*gains nothing")
 def test_derivatives_of_complex_results() -> None:
     def turned(x: jax.Array) -> jax.Array:
         def body(c: jax.Array, row: jax.Array) -> tuple[jax.Array, None]:

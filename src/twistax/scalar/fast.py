@@ -32,10 +32,13 @@ _LOCK = threading.RLock()
 class Fast(Generic[P, R]):
     """The result of `fast`: a jitted function, differentiable and batched as any JAX function."""
 
-    def __init__(self, function: Callable[P, R], backend: Backend, static: dict[str, Any]) -> None:
+    def __init__(
+        self, function: Callable[P, R], backend: Backend, static: dict[str, Any], *, warns: bool = True
+    ) -> None:
         functools.update_wrapper(self, function)
         self._function, self._backend, self._static = function, backend, static
-        self._jitted = self._jit(lambda *args, **kwargs: self._warned(args, kwargs))
+        run = self._warned if warns else lambda *arguments: self._traced(*arguments)[0]
+        self._jitted = self._jit(lambda *args, **kwargs: run(args, kwargs))
 
     def _jit(self, traced: Callable[..., Any]) -> Any:
         return jax.jit(functools.wraps(self._function)(traced), **self._static)
@@ -177,6 +180,11 @@ def fast(
         return Fast(function, choice, static)
 
     return made if function is None else made(function)
+
+
+def part_of_package(function: Callable[P, R], backend: Backend | Literal["auto"] = "auto") -> Fast[P, R]:
+    """`fast` for functions of this package: where nothing is gained its users can do nothing, so it does not warn."""
+    return Fast(function, chosen(backend, Native() if installed() else XLA()), {}, warns=False)
 
 
 # ---- traced values that functions close over -------------------------------------------------------------------------

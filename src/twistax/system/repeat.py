@@ -17,7 +17,7 @@ from ..expr.operations.soft import Soft
 from ..expr.transformations.vmap import elements_by
 from ..groups.power import Power
 from ..scalar.backends import JAX, Backend, Emission
-from ..scalar.fast import fast
+from ..scalar.fast import part_of_package
 from ..scalar.targets.llvm.backend import Native, installed
 from .composable import named_leaves
 from .system import System
@@ -164,5 +164,5 @@ def copies_in_a_kernel(
         return emission
     # One copy has a kernel also where it would be too small for one alone.
     of_one = backend if type(backend) is Native else Native(threads=backend.threads)
-    with elements_by(functools.partial(fast, backend=of_one)):
+    with elements_by(functools.partial(part_of_package, backend=of_one)):
         return dataclasses.replace(JAX().emit(traced()[0]), reason="a batch of one kernel for all copies")

@@ -16,7 +16,7 @@ import numpy as np
 from ...checks import listed, number, short, whole
 from ...errors import InputError
 from ...jax_inside import is_traced
-from ...scalar.fast import fast
+from ...scalar.fast import part_of_package
 from ...system.lower import lower
 from ..algorithms.dynamics import checked
 from ..kinematic_tree import KinematicTree
@@ -215,7 +215,7 @@ class _Reacher:
         self._pool = {name: value.reshape(seeds, candidates, *value.shape[1:]) for name, value in pool.items()}
         self._features = np.concatenate([self._feature(name, np.asarray(poses[name])) for name in self._frames], axis=1)
         search = SeededSearch(self.tasks, options)
-        self._solve, self._search = search.solve, fast(search.one)
+        self._solve, self._search = search.solve, part_of_package(search.one)
         self._call = jax.jit(self._all)
 
     @staticmethod

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...scalar.backends import XLA, chosen
-from ...scalar.fast import fast
+from ...scalar.fast import part_of_package
 from ...scalar.targets.llvm.backend import Auto, Native, installed
 from ...solver.transcription import Scheme
 from ...system.dynamics import Arrays
@@ -46,7 +46,7 @@ class JaxValues:
             "auto" if isinstance(shooting.dynamics.backend, Auto) else shooting.dynamics.backend,
             Native() if installed() else XLA(),
         )
-        compiled = functools.partial(fast, backend=backend)
+        compiled = functools.partial(part_of_package, backend=backend)
         self._rate, self._point = compiled(shooting.rate_at), compiled(shooting.point_at)
         self._gap, self._end = compiled(shooting.local.gap), compiled(shooting.end_at)
         self._nodes = {k: compiled(functools.partial(shooting.node_at, k)) for k in shooting.conditions}
