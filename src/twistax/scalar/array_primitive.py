@@ -148,13 +148,19 @@ def on_any_mesh(function: Callable[..., Result], *arguments: Any) -> Result:
     Otherwise loops inside of the function would need these shardings too. It must not close over traced values.
     Arguments and result are pytrees of arrays.
     """
-    leaves = jax.tree.leaves(arguments)
+    leaves, structure = jax.tree.flatten(arguments)
     if not spread(leaves):
         return function(*arguments)
-    structs = jax.tree.map(lambda a: jax.ShapeDtypeStruct(jnp.shape(a), jnp.result_type(a)), arguments)
+    structures: list[Any] = []
+
+    def flat(*leaves: jax.Array) -> list[jax.Array]:  # JAX's caches must not hold what pytrees name
+        results, shape = jax.tree.flatten(function(*jax.tree.unflatten(structure, leaves)))
+        structures.append(shape)
+        return results
+
     with of_one_device():
-        closed, shape = jax.make_jaxpr(function, return_shape=True)(*structs)
+        closed = jax.make_jaxpr(flat)(*(jax.ShapeDtypeStruct(jnp.shape(a), jnp.result_type(a)) for a in leaves))
     if closed.effects:
         return function(*arguments)
-    result: Result = jax.tree.unflatten(jax.tree.structure(shape), call_program(ArrayProgram(closed), *leaves))
+    result: Result = jax.tree.unflatten(structures[0], call_program(ArrayProgram(closed), *leaves))
     return result

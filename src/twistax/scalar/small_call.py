@@ -107,18 +107,25 @@ def small_call(function: Callable[..., Result], *arguments: Any, trusted: bool =
     debugging: Any = jax.config
     if debugging.jax_disable_jit:  # operations one by one would have the attribute
         return function(*arguments)
-    arguments = jax.tree.map(jnp.asarray, arguments)
+    leaves, structure = jax.tree.flatten(jax.tree.map(jnp.asarray, arguments))
+    structures: list[Any] = []
+
+    def flat(*leaves: jax.Array) -> list[Any]:  # JAX's caches must not hold what pytrees name, such as systems
+        results, shape = jax.tree.flatten(function(*jax.tree.unflatten(structure, leaves)))
+        structures.append(shape)
+        return results
+
     try:
         with _setting(_INSIDE, True):
-            jaxpr, shape = jax.make_jaxpr(function, return_shape=True)(*arguments)
+            jaxpr = jax.make_jaxpr(flat)(*leaves)
     except _Outside:
         return function(*arguments)
     if not (trusted or known_inside(jaxpr.jaxpr)):
         return function(*arguments)
     run, traced = opened(jaxpr)
     # Constants must not be moved inside: an argument that is one then counts as never read.
-    results = _outlined(run)(*jax.lax.optimization_barrier([*traced, *jax.tree.leaves(arguments)]))
-    result: Result = jax.tree.unflatten(jax.tree.structure(shape), results)
+    results = _outlined(run)(*jax.lax.optimization_barrier([*traced, *leaves]))
+    result: Result = jax.tree.unflatten(structures[0], results)
     return result
 
 
