@@ -233,6 +233,21 @@ def _poly(row: jax.Array) -> jax.Array:
     return jnp.sin(row) * jnp.cos(row[::-1]) + jnp.tanh(row[0]) - jnp.cumsum(row, 0)
 
 
+@pytest.mark.parametrize(
+    "rows", [lambda: jnp.asarray(SIDES), lambda: jnp.cumsum(jnp.arange(ROWS * 6.0).reshape(-1, 6))]
+)
+def test_rows_that_are_constant_are_those_of_their_members(rows: Callable[[], jax.Array]) -> None:
+    """A table of numbers that a function holds has a row for each member of a batch."""
+
+    def each(xs: jax.Array) -> jax.Array:
+        return jax.vmap(lambda row, x: jnp.sin(row * x) @ MATRICES[0])(rows().reshape(-1, 6), xs)
+
+    xs = SIDES[::-1]
+    own = tx.fast(each)
+    assert f"batch of {ROWS}" in own.explain(xs)
+    np.testing.assert_allclose(own(xs), jax.jit(each)(xs), atol=1e-11)
+
+
 def test_rows_that_are_constant_leave_a_loop_one_kernel() -> None:
     """Its iterations read one row each: the 400 rows are no batch."""
 

@@ -117,9 +117,8 @@ def _parts(program: ClosedJaxpr, backend: Backend, batch: BatchEquations | None)
             groups.setdefault((rank, kind), []).append(eqn)
             after.update(dict.fromkeys(eqn.outvars, rank + (kind != _STRAIGHT)))
             within.update(dict.fromkeys(eqn.outvars if kind == _BATCHED else (), rank))
-    results = [v for v in jaxpr.outvars if not isinstance(v, Literal)]
-    wanted = dict.fromkeys(results)
-    parts = [_straight(constants, [], [v for v in wanted if v in constants.known], backend)]
+    wanted = dict.fromkeys(v for v in jaxpr.outvars if not isinstance(v, Literal))
+    parts: list[Part] = []
     for (_, kind), eqns in sorted(groups.items(), key=lambda group: group[0], reverse=True):
         for chosen in [[eqn] for eqn in reversed(eqns)] if kind == _LOOPED else [eqns]:
             outputs = [v for eqn in chosen for v in eqn.outvars if v in wanted]
@@ -133,6 +132,8 @@ def _parts(program: ClosedJaxpr, backend: Backend, batch: BatchEquations | None)
                 new = _straight(constants, chosen, outputs, backend)
             parts.append(new)
             wanted.update(dict.fromkeys(new.inputs))
+    # Results that are constants, and rows of constants that members of a batch read.
+    parts.append(_straight(constants, [], [v for v in wanted if v in constants.known], backend))
     return parts[::-1]
 
 
