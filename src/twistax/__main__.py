@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from .demo import options as demo_options
+from .progress import Progress
 from .report import arguments as report_options
 
 #: What of the extras a report of a bug should name.
@@ -84,7 +85,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     jax.config.update("jax_enable_x64", True)
     try:
         # Loaded when it is run: both import diffrax.
-        return int(importlib.import_module(options.module, __package__).run(options))
+        with Progress("load"):
+            command = importlib.import_module(options.module, __package__)
+        return int(command.run(options))
     except KeyboardInterrupt:
         print(f"\ntwistax {options.command}: interrupted{options.rerun}", file=sys.stderr)
         return 130

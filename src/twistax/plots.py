@@ -13,6 +13,7 @@ from numpy import ndarray as Array
 from .checks import listed
 from .errors import InputError, ModelError
 from .groups import SE3, SO3, ElementPart, Group, euler
+from .progress import watching
 
 #: A panel with more curves than this has no legend.
 _NAMED = 12
@@ -198,6 +199,7 @@ def joints_of(labels: Labels, leaves: Iterable[str]) -> dict[str, dict[str, list
     return joints
 
 
+@watching("plot")
 def draw(
     panels: Sequence[Panel], title: str = "", bars: Mapping[str, float] | None = None, over: str = "time, s"
 ) -> Any:

@@ -7,15 +7,19 @@ error. `logging.getLogger("twistax").setLevel(logging.WARNING)` switches them of
 from __future__ import annotations
 
 import contextlib
+import functools
 import logging
 import sys
 import threading
 import time
 import warnings
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 from .errors import TrajectoryError
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 LOGGER = logging.getLogger("twistax")
 #: Seconds between lines, on a terminal and elsewhere.
@@ -72,6 +76,8 @@ class Progress:
         self._depth += 1
         if self.shown and self._depth == 1:
             _watch(self)
+            if self._live and not self._patience:
+                self._write(f"{self._text} ...".lstrip(), live=True)
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -80,7 +86,8 @@ class Progress:
             with contextlib.suppress(ValueError):
                 _WATCHED.remove(self)
             self.close()
-            if self._waited and self._patience:
+            within = any(line._what == self._what for line in _WATCHED)  # the outer one shows the seconds of both
+            if self._waited and self._patience and not within:
                 self._write(f"took {time.perf_counter() - self._begin:.1f} s", live=False)
 
     def reached(self, t: float, share: float) -> None:
@@ -143,6 +150,20 @@ def watched(what: str, progress: bool | None = None) -> Progress | contextlib.nu
         return contextlib.nullcontext()
     line = Progress(what, shown=progress)
     return line if line.shown else contextlib.nullcontext()
+
+
+def watching(what: str) -> Callable[[Callable[P, T]], Callable[P, T]]:
+    """A decorator of functions whose first call may take long: imports, and programs that are compiled."""
+
+    def decorate(function: Callable[P, T]) -> Callable[P, T]:
+        @functools.wraps(function)
+        def call(*arguments: P.args, **options: P.kwargs) -> T:
+            with watched(what):
+                return function(*arguments, **options)
+
+        return call
+
+    return decorate
 
 
 #: Calls under way, the innermost last.

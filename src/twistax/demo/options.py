@@ -4,9 +4,10 @@ import argparse
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from ..scenes.powered_descent import Start
+if TYPE_CHECKING:
+    from ..scenes.powered_descent import Start
 
 _EXAMPLE = "height=900,offset=400:150,velocity=-60:-20:-100,tilt=60"
 _INITIAL = f"""where the descent begins, for example {_EXAMPLE}
@@ -26,7 +27,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """The options of `twistax demo`."""
     parser.formatter_class = argparse.RawTextHelpFormatter
     options = {
-        "--initial": (parse_start, "START", Start(), _INITIAL),
+        "--initial": (parse_start, "START", "height=900", _INITIAL),
         "--guess-seed": (_integer(0, 2**32 - 1), "N", None, _SEED),
         "--nodes": (_integer(5, 200), "N", 25, "nodes of the search, 5 to 200 (25)"),
         "--max-iterations": (_integer(1, 10**6), "N", 400, "iterations after which the search gives up (400)"),
@@ -56,12 +57,15 @@ _ITEMS: dict[str, tuple[str, int, float, str, Callable[..., bool]]] = {
 }
 
 
-def parse_start(text: str) -> Start:
+def parse_start(text: str) -> "Start":
     """A start from `height=900,offset=400:150,...`; what is left out keeps its default.
 
     Raises:
         argparse.ArgumentTypeError: a sentence about what is wrong.
     """
+    # Only the demo reads its start: the other commands and --help do not load the package.
+    from ..scenes.powered_descent import Start
+
     fields: dict[str, Any] = {}
     for part in text.split(","):
         name, equals, value = (piece.strip() for piece in part.partition("="))

@@ -14,6 +14,7 @@ import numpy as np
 from ..checks import listed, number, real_array, reals
 from ..errors import InputError, ModelError, ShapeError
 from ..jax_inside import is_traced
+from ..progress import watching
 from ..system.dynamics import Arrays, Dynamics
 from ..system.inputs import Values, precision
 from .filter_run import FilterRun, Innovations
@@ -138,6 +139,7 @@ class Filter(ABC):
 
     # ---- a run -------------------------------------------------------------------------------------------------------
 
+    @watching("filter")
     def run(
         self,
         records: Records,

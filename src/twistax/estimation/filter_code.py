@@ -13,6 +13,7 @@ import numpy as np
 
 from ..errors import ModelError
 from ..groups import Group
+from ..progress import watching
 from ..scalar.backends import JAX
 from ..system.dynamics import Dynamics
 from ..system.export import CFiles
@@ -24,6 +25,7 @@ from .stochastic_model import OperatingPoint, StochasticModel
 from .update import symmetric
 
 
+@watching("export")
 def write_filter(kalman: Filter, directory: str | Path, *, name: str, dtype: Any, tolerance: float | None) -> CFiles:
     """Implements `ErrorStateKalman.to_c`, which documents the arguments."""
     model = kalman.model

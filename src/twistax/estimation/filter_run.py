@@ -15,6 +15,7 @@ from ..checks import listed, real_array
 from ..errors import EstimationError, InputError, ShapeError
 from ..groups import Product
 from ..linear.labels import labels, tangent_shapes
+from ..progress import watching
 from ..system.dynamics import Arrays
 from .consistency import Consistency, consistency
 from .observability import Observability, observability
@@ -147,6 +148,7 @@ class FilterRun:
         nis = np.where(np.asarray(rows.present), np.asarray(rows.nis), np.nan)
         return consistency(nis, rows.residual.shape[-1], level=level, tolerance=tolerance)
 
+    @watching("smooth")
     def smooth(self, smoother: RauchTungStriebel | FixedLagSmoother | None = None) -> Smoothed:
         """The states that use later measurements too, all of them by `RauchTungStriebel()`, the default. Traceable."""
         smooth = functools.partial((smoother or RauchTungStriebel()).smooth, self.group)
@@ -154,6 +156,7 @@ class FilterRun:
             smooth = jax.vmap(smooth)
         return smooth(self.ts, (self.xs, self.P), (self.prior_xs, self.prior_P, self.transitions))
 
+    @watching("observe")
     def observability(self, *, tolerance: float | None = None) -> Observability:
         """The observability Gramian of the measurements along the run, with the unobservable directions at its start.
 

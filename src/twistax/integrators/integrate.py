@@ -23,7 +23,7 @@ from ..system.dynamics import Dynamics
 from .loop.failures import failure, numbers
 from .loop.loop import Steps
 from .loop.outcome import Result
-from .loop.progress_callback import callback_of, calling_back
+from .loop.progress_callback import ProgressCallback, callback_of, calling_back
 from .loop.rollout import RolloutResult, ended_well, rollout
 from .loop.unreached import nan_unless
 from .method import Stepper
@@ -101,15 +101,19 @@ def integrate(dynamics: Dynamics, x0: Mapping[str, Any], options: Options) -> So
 
 def integrated(dynamics: Dynamics, x0: Mapping[str, Any], options: Options) -> Solution:
     """`integrate` with its options as a record."""
+    callback = None if options.progress is None else callback_of(options.progress)
+    with watched("integrate", options.progress if callback is None else False):
+        return _integrated(dynamics, x0, options, callback)
+
+
+def _integrated(
+    dynamics: Dynamics, x0: Mapping[str, Any], options: Options, callback: ProgressCallback | None
+) -> Solution:
     plan = plan_of(dynamics, x0, options)
     need_flag("throw", options.throw)
     stepper, steps = plan.stepper, plan.steps
-    callback = None if options.progress is None else callback_of(options.progress)
-    if plan.traced or is_tracing():
+    if callback is None or plan.traced or is_tracing():
         result = rollout(steps, stepper, plan.x)
-    elif callback is None:
-        with watched("integrate", options.progress):
-            result = rollout(steps, stepper, plan.x)
     else:
         with calling_back(callback) as progress_calls:
             result = rollout(dataclasses.replace(steps, progress_calls=progress_calls), stepper, plan.x)

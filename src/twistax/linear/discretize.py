@@ -17,6 +17,7 @@ from ..expr import Control, Inputs
 from ..integrators import RKMK, ImplicitRKMK, VectorField
 from ..integrators.method import Method
 from ..integrators.tableaus import RK4
+from ..progress import watching
 from ..system.dynamics import Arrays, Dynamics, need_compiled
 from ..system.inputs import Values, is_finite
 from .second_order import second_order
@@ -80,6 +81,7 @@ class Rollout(NamedTuple):
     sensitivity: jax.Array  # (substeps + 1, n, n + m + 2): the states' tangents by [start, controls, h, t]
 
 
+@watching("discretize")
 def discretize(
     dynamics: Dynamics,
     t: Any,

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..checks import listed
 from ..errors import InputError, ModelError
+from ..progress import watching
 from ..system.dynamics import Dynamics, need_compiled
 from ..system.inputs import Values
 from .discretize import Controls, value_and_jacobian
@@ -103,6 +104,7 @@ class Linearization:
         return control.ss(A, B, C, D, states=list(self.states), inputs=list(self.controls), outputs=list(names))
 
 
+@watching("linearize")
 def linearize(
     dynamics: Dynamics,
     t: Any,

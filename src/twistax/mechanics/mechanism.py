@@ -77,7 +77,8 @@ class Mechanism(KinematicTree):
         rows = sum(loop.rows for loop in self.loops)
         return (
             *self._notes,
-            f"the loops say {self.redundant_closures} of {rows} things twice: what they carry is the shortest solution",
+            f"{self.redundant_closures} of {rows} loop constraints are redundant: "
+            "constraint wrenches are the minimum-norm solution",
         )
 
     def replace(self, *, drives: Mapping[str, Drive] | None = None, **changes: Any) -> Mechanism:

@@ -19,6 +19,7 @@ from ..errors import InputError, ModelError
 from ..expr import Constant, Expr, Inputs, evaluate_all, leaves_of, postorder
 from ..expr.kinds.inference import infer_kinds
 from ..jax_inside import all_equations, inner_jaxprs
+from ..progress import watching
 from ..scalar.backends import array_operations
 from ..scalar.graph import TooLarge
 from ..scalar.reader import scalarize
@@ -192,6 +193,7 @@ def explain_kinds(system: System) -> KindsExplanation:
     )
 
 
+@watching("explain")
 def explain(functions: Functions) -> Explanation:
     """Implements `Dynamics.explain()`. Arguments are in JAX's default precision."""
     inputs = functions.zeros()

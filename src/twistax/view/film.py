@@ -15,6 +15,7 @@ import numpy as np
 
 from ..checks import short
 from ..errors import InputError, ModelError
+from ..progress import watching
 from .animation import RATE, Animation
 from .stage import Stage, silent_server
 
@@ -25,6 +26,7 @@ _BEGIN, _PICTURE = 60.0, 60.0
 _SETTLING = 10
 
 
+@watching("video")
 def film(scene: Animation, path: Path, size: tuple[int, int]) -> Path:
     """Write a film of a scene; see `Scene.video`."""
     is_size = len(size) == 2 and all(isinstance(n, int) and 16 <= n <= 8192 and n % 2 == 0 for n in size)

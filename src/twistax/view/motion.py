@@ -16,6 +16,7 @@ from ..checks import listed, number, reals, short
 from ..errors import InputError
 from ..groups import SE3, SO3
 from ..plots import group_of
+from ..progress import watching
 from .animation import Arrow, Body, Vector
 from .scene import Scene
 from .shapes import Color, Shape
@@ -58,6 +59,7 @@ def joined(parts: Sequence[Values]) -> dict[str, Array]:
     return {name: np.concatenate(values[name]) for name in everywhere}
 
 
+@watching("show")
 def shown(
     motion: Motion,
     path: Any = None,

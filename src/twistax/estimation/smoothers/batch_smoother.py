@@ -16,6 +16,7 @@ from ...checks import listed, number, whole
 from ...errors import EstimationError, InputError, ModelError, ShapeError
 from ...groups import Product
 from ...jax_inside import is_traced
+from ...progress import watching
 from ...system.dynamics import Arrays, Dynamics
 from ...system.inputs import Values
 from ..error_state_kalman import ErrorStateKalman
@@ -145,6 +146,7 @@ class BatchSmoother:
             number("tolerance", tolerance, "a positive number", lambda size: size > 0.0, ModelError)
         self.max_iterations, self.tolerance = max_iterations, tolerance
 
+    @watching("smooth")
     def run(
         self,
         records: Records,

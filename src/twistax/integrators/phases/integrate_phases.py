@@ -12,6 +12,7 @@ import numpy as np
 from ...checks import listed, number, short
 from ...errors import InputError, IntegrationError, ModelError, in_phase
 from ...jax_inside import is_traced, is_tracing
+from ...progress import watching
 from ...system import free_name
 from ...system.dynamics import Dynamics, need_compiled
 from ...system.inputs import precision
@@ -115,6 +116,7 @@ class _Flight:
         # Which rows a phase has is known only where its times are.
         self.on_grid = options.save_at is not None and is_tracing()
 
+    @watching("integrate")
     def flown(self, x0: Mapping[str, Any]) -> PhasedSolution:
         options, phases, save_at = self.options, self.phases, self.options.save_at
         dtype = precision(x0, self.params)

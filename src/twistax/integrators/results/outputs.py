@@ -15,6 +15,7 @@ from ...checks import listed
 from ...errors import InputError
 from ...expr import Inputs
 from ...jax_inside import is_traced
+from ...progress import watching
 from ...system.dynamics import Arrays
 from ..loop.unreached import nan_unless
 from ..method import Stepper, jitted
@@ -88,6 +89,7 @@ def _in_rows(make: Callable[[], Callable[..., Arrays]], stepper: Stepper, ts: ja
     return {name: jax.device_put(np.asarray(value)[:count]) for name, value in values.items()}
 
 
+@watching("outputs")
 def _called(make: Callable[[], Callable[..., Arrays]], stepper: Stepper, *rest: Any) -> Arrays:
     try:
         result: Arrays = jitted(make, stepper, *rest)

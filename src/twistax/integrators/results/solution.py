@@ -18,6 +18,7 @@ from ...errors import InputError
 from ...groups.columns import Column
 from ...jax_inside import is_traced
 from ...plots import Pictured, draw
+from ...progress import watching
 from ...system.dynamics import Arrays
 from ...units import same_unit, seconds
 from ..charts.coordinates import Blocks
@@ -258,6 +259,7 @@ class Solution(AnySolution):
             return self.which
         return int(self.which) if int(self.which) >= 0 else None
 
+    @watching("evaluate")
     def evaluate(self, t: Any) -> Arrays:
         """The states by name at a time () or at times (n,), with a leading axis for the latter. Needs dense=True.
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ...checks import number, reals, whole
 from ...errors import ModelError
 from ...expr import State, leaves_of
+from ...progress import watching
 from ...system.lower import lower
 from ..kinematic_tree import KinematicTree
 from .regressor import inverse_dynamics_regressor
@@ -96,6 +97,7 @@ def _sum_of(row: NDArray[np.float64], names: Sequence[str]) -> str:
     return "".join(words)
 
 
+@watching("identify")
 def base_parameters(
     mechanism: KinematicTree, *, drives: Collection[str] | None = None, samples: int | None = None, seed: int = 0
 ) -> BaseParameters:

@@ -9,6 +9,7 @@ from pathlib import Path
 from ...checks import path_of
 from ...errors import ModelError
 from ...expr.fields import ExprLike
+from ...progress import watching
 from ..mechanism import Mechanism
 from .choices import Choices
 from .mjcf import Mjcf
@@ -16,6 +17,7 @@ from .urdf import Urdf
 from .xml_file import Element, read_xml
 
 
+@watching("load")
 def load(
     path: str | Path,
     *,

@@ -16,6 +16,7 @@ import numpy as np
 from ...checks import listed, number, short, whole
 from ...errors import InputError
 from ...jax_inside import is_traced
+from ...progress import watching
 from ...scalar.fast import part_of_package
 from ...system.lower import lower
 from ..algorithms.dynamics import checked
@@ -80,6 +81,7 @@ class ReachResult:
         return tuple(dict.fromkeys(self.joints[i] for i in np.flatnonzero(np.asarray(self.at_limit[index]))))
 
 
+@watching("reach")
 def reach(
     mechanism: KinematicTree,
     targets: Mapping[str, Any],

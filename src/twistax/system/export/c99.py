@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ...checks import number, path_of
 from ...errors import InputError, ModelError
+from ...progress import watching
 from ...scalar.targets.c import CType, c_type
 from ..functions import Functions
 from . import CFiles
@@ -33,6 +34,7 @@ _STANDARD = (
 )
 
 
+@watching("export")
 def write_c(
     dynamics: Functions,
     directory: str | Path,

@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 
 from ...errors import InputError, ModelError
+from ...progress import watching
 from ...scalar.primitives.entry import Operation
 from ..functions import Functions
 from .programs import ExportedFunction, Exporter, Port
 
 
+@watching("export")
 def to_casadi(dynamics: Functions, families: str | Sequence[str], name: str, checked: bool) -> Any:
     """Implements `Dynamics.to_casadi`, which documents the arguments."""
     try:

@@ -21,6 +21,7 @@ from numpy import ndarray as Array
 
 from ...checks import number, path_of, short
 from ...errors import InputError, ModelError
+from ...progress import watching
 from ...scalar.targets.c import c_type
 from ..export.c99 import check_name
 from ..export.c_code import mark, numbers
@@ -39,6 +40,7 @@ _TOKEN = "TOKEN_OF_THE_UNIT"
 _OFF = 1e-6
 
 
+@watching("export")
 def write_unit(
     functions: Functions,
     path: str | Path,

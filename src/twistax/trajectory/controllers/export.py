@@ -12,6 +12,7 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ...checks import number, path_of
+from ...progress import watching
 from ...scalar.targets.c import c_type
 from ...solver.exported.kernel_code import array
 from ...solver.exported.phase_code import PhaseCode
@@ -296,6 +297,7 @@ def _c(name: str) -> str:
     return re.sub(r"[^A-Za-z0-9_]", "_", name)
 
 
+@watching("export")
 def write_controller(
     controller: Any, directory: str | Path, *, name: str, states: Sequence[Mapping[str, Any]] | None, tolerance: float
 ) -> CFiles:

@@ -13,6 +13,7 @@ from ...errors import IntegrationError, TrajectoryError
 from ...expr import Control, State
 from ...jax_inside import in_double
 from ...plots import Panel, chosen, draw, panels
+from ...progress import watching
 
 if TYPE_CHECKING:
     from ...view import Scene
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 _MOST = 10
 
 
+@watching("plot")
 def drawn(
     parts: Sequence[Any],
     names: Sequence[Any],
@@ -43,6 +45,7 @@ def drawn(
     return draw(shown_panels, title, dict(list(sizes.items())[:_MOST]))
 
 
+@watching("show")
 def animated(parts: Sequence[Any], path: Any, choices: Mapping[str, Any]) -> Scene:
     """The scene of one trajectory, or of several that follow each other; see `Trajectory.show`."""
     from ...view.motion import Motion, joined, shown
