@@ -15,6 +15,7 @@ from ...errors import InputError, IntegrationError, TrajectoryError
 from ...groups import Group
 from ...integrators import Method, ZeroOrderHold, integrate
 from ...integrators.ambient import AmbientSystem
+from ...progress import watching
 from ..problem.statement import largest_by_name, violations
 from ..strategy.integration import CoreRollout
 from ..transcription.iterate import Iterate
@@ -49,6 +50,7 @@ class Replay:
     final: dict[str, float]
 
 
+@watching("replay")
 def replayed(result: Any, method: Any, steps: int, rtol: float, atol: float) -> Replay:
     """The rollout of a trajectory; see `Trajectory.replay`. Without a method the solver's core rolls out if it can."""
     _need_finite(result)
