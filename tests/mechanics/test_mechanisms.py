@@ -301,7 +301,7 @@ def test_what_is_no_tree_is_refused(unchecked: None) -> None:
         mechanics.mass_matrix(tree, np.zeros(3))
     with pytest.raises(tx.ModelError, match=r"no frame 'tol'(.|\n)*did you mean 'tool'"):
         tree.pose("tol")
-    with pytest.raises(tx.ModelError, match=r"no joint 'tool' moves here(.|\n)*keep="):
+    with pytest.raises(tx.ModelError, match=r"no movable joint 'tool'(.|\n)*keep="):
         mechanics.joint_wrench(tree, "tool")
 
 

@@ -193,7 +193,7 @@ def test_steps_that_explode_do_not_make_all_else_count_as_nothing() -> None:
     assert explicit.cost == pytest.approx(stiff.cost, rel=1e-6)  # solved by the same steps in the end
     assert "Explicit steps are unstable" in explicit.message
     assert stiff.mesh_error["x"]["distance"] < 1e-5  # by implicit steps
-    assert "exceeded along it: nothing" in stiff.explain()
+    assert "limits exceeded by that rollout: none" in stiff.explain()
 
 
 def test_states_that_explode_together_do_not_either() -> None:

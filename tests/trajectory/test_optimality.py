@@ -163,7 +163,7 @@ def test_an_explanation_names_what_is_active() -> None:
     assert lines[0] == result.message
     (active,) = (line for line in lines if line.startswith("active, by multiplier: "))
     assert f"u <= {MOST:g} ({result.multipliers[f'u <= {MOST:g}'].max():.3g})" in active
-    assert any(line.startswith("exceeded along it") for line in lines)
+    assert any(line.startswith("limits exceeded by that rollout") for line in lines)
 
 
 def test_a_start_where_a_constraint_has_no_slope_is_left() -> None:
@@ -207,7 +207,7 @@ def test_what_a_coarse_mesh_misses_is_told() -> None:
     ends = np.stack([held / 4.0 + shift * cos + v0 / 2.0 * sin, v0 * cos - 2.0 * shift * sin], axis=1)
     gaps = np.abs(ends - np.stack([result.xs["p"], result.xs["v"]], axis=1)[1:]) / result.warm.scales.d[1:]
     stage = int(gaps.max(axis=1).argmax())
-    (told,) = (line for line in result.explain().splitlines() if line.startswith("largest miss of an interval"))
+    (told,) = (line for line in result.explain().splitlines() if line.startswith("largest mesh error"))
     assert f"{gaps.max():.1e} between nodes {stage} and {stage + 1}" in told
     assert ("solve(refine=1e-4)" in told) == (gaps.max() > 1e-2)
     assert result.status is (Status.COARSE if gaps.max() > 1e-2 else Status.SOLVED)

@@ -1,10 +1,12 @@
 """Lines of solves, integrations and sweeps that take long."""
 
+import contextlib
 import io
 import logging
 import re
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -113,3 +115,48 @@ def test_a_bar_counts_what_this_run_does() -> None:
 def test_a_format_of_something_else_is_refused() -> None:
     with pytest.raises(tx.TrajectoryError, match="mass"):
         tx.trajectory.Progress(cost="mass {:d}")
+
+
+def test_public_calls_that_compile_or_import_show_their_seconds(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """What each call names, and that progress=False of an integration is silent."""
+    calls: list[tuple[str, bool | None]] = []
+
+    def record(what: str, progress: bool | None = None) -> contextlib.nullcontext[None]:
+        calls.append((what, progress))
+        return contextlib.nullcontext()
+
+    x = tx.State("x")
+    dynamics = tx.compile(tx.System(rates={x: -x}))
+    solution = tx.integrate(dynamics, {"x": 1.0}, t1=1.0, dt=0.1, dense=True, save_at=[0.0, 1.0])
+    monkeypatch.setattr(progress, "watched", record)
+    solution.evaluate(0.5)
+    solution.plot()
+    tx.trajectory.linearize(dynamics, 0.0, {"x": 1.0})
+    tx.trajectory.discretize(dynamics, 0.0, {"x": 1.0}, None, 0.1)
+    dynamics.explain()
+    dynamics.to_c(tmp_path)
+    tx.mechanics.load(Path(__file__).parents[2] / "examples" / "arm.urdf")
+    tx.integrate_phases([tx.Phase(dynamics, duration=0.2)], {"x": 1.0}, dt=0.1)
+    assert {what for what, _ in calls} == {
+        *("evaluate", "plot", "linearize", "discretize", "explain", "export", "load", "integrate")
+    }
+    monkeypatch.setattr(sys.modules["twistax.integrators.integrate"], "watched", record)
+    calls.clear()
+    tx.integrate(dynamics, {"x": 1.0}, t1=1.0, dt=0.1, progress=False)
+    tx.integrate(dynamics, {"x": 1.0}, t1=1.0, dt=0.1)
+    assert calls == [("integrate", False), ("integrate", None)]
+
+
+def test_a_line_that_is_shown_begins_at_once_and_a_nested_one_does_not_repeat_its_seconds(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    terminal = Terminal()
+    with tx.trajectory.Progress("load", stream=terminal):
+        assert "load      ..." in terminal.getvalue()
+    monkeypatch.setattr(progress, "_PATIENCE", 1e-9)
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    with progress.watched("compile") as outer, progress.watched("compile") as inner:
+        outer._waited = inner._waited = True
+    assert sys.stderr.getvalue().count("took") == 1

@@ -173,8 +173,8 @@ class KinematicTree:
             if segment.link.joint.name == joint:
                 return segment
         raise ModelError(
-            f"no joint {short(joint)} moves here; known are {listed(self.joints, joint)}.\n"
-            "  a Fixed joint is merged with what it sits on, unless it is named in keep="
+            f"no movable joint {short(joint)}; known are {listed(self.joints, joint)}.\n"
+            "  a Fixed joint is merged with its parent link, unless it is named in keep="
         )
 
     def coordinates(self, owner: str, name: str, value: ExprLike | None) -> Expr:

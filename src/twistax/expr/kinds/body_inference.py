@@ -69,7 +69,7 @@ class BodyInference:
         of_state, kind = _declared_bodies(state), kind_of(state)
         if isinstance(of_state, BodyMotion) and not of_state.fits(of_rate):
             values = ((state, of_state), (rate, of_rate))
-            raise self._refused(f"the twist of {state.name!r} has the rate of another one", place, values, _FIX)
+            raise self._refused(f"the rate of the twist {state.name!r} belongs to another body", place, values, _FIX)
         if state.group.rigid and kind is not None and of_rate.complete and len(of_rate.bodies) == 2:
             frames = kind.axes()
             (moving,), (against,) = ([name for name, n in of_rate.bodies.items() if n * s > 0] for s in (1, -1))

@@ -201,8 +201,8 @@ def _rolled_out(result: Any) -> list[str]:
     )
     broken = {name: value for name, value in result.between_nodes.items() if value > 0.0}
     return [
-        f"misses of a finer rollout at the end: {missed}",
-        "exceeded along it: " + (", ".join(f"{n} by {v:.2g}" for n, v in broken.items()) or "nothing"),
+        f"error of the final state by a finer rollout: {missed}",
+        "limits exceeded by that rollout: " + (", ".join(f"{n} by {v:.2g}" for n, v in broken.items()) or "none"),
     ]
 
 
@@ -220,7 +220,7 @@ def _open(every: list[Undetermined], sign: float) -> str:
 
 def _mesh(accuracy: Accuracy, status: Status) -> str:
     """A sentence on the error of the mesh, and what to do where it is large."""
-    line = f"largest miss of an interval, in scales of the states: {accuracy.error:.1e} {accuracy.place}"
+    line = f"largest mesh error, relative to the scales of the states: {accuracy.error:.1e} {accuracy.place}"
     if status in AT_OPTIMUM and status is not Status.DEGENERATE:  # elsewhere multipliers are worth nothing
         line += f"; a mesh without error changes the objective by about {accuracy.change:.2g}"
     return line + (f"; the mesh is too coarse for this path: {_FINER}" if accuracy.coarse else "")
