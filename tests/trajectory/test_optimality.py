@@ -90,7 +90,7 @@ def test_other_cases_do_not_compile_again(caplog: pytest.LogCaptureFixture) -> N
 OTHERS: list[tuple[dict[str, Any], str]] = [
     ({"initial": {"p": np.nan}}, r"initial\['p'\] must fix the entries that the problem fixes"),
     ({"final": {"v": np.nan}}, r"final\['v'\] must fix the entries that the problem fixes"),
-    ({"final_time": 3.0}, "final_time expects what the problem has, free"),
+    ({"final_time": 3.0}, "final_time expects limits .low, high., because it is free"),
 ]
 
 

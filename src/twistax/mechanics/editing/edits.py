@@ -123,8 +123,8 @@ def without(mechanism: KinematicTree, names: Iterable[str]) -> Changes:
         ends = [carrier_of(mechanism, end) in removed for end in (loop.frame, loop.other)]
         if any(ends) and not all(ends):
             raise ModelError(
-                f"{owner}: {loop!r} closes a loop with a frame that would be gone.\n"
-                "  fix: replace(loops=[...]) with the closures that stay, before"
+                f"{owner}: the loop constraint {loop!r} needs a frame that would be removed.\n"
+                "  fix: first replace(loops=[...]) with the remaining loop constraints"
             )
         if not any(ends):
             loops.append(loop)

@@ -246,8 +246,8 @@ class StatedPhase:
         times = times_of(self.time_limits if limits is None else limits, guess)
         is_free = self.time_limits[0] < self.time_limits[1]
         if (times[0][0] < times[0][1]) != is_free:
-            kind = "free: (low, high)" if is_free else "fixed: a number"
-            raise TrajectoryError(f"solve: final_time expects what the problem has, {kind}, got {limits!r}")
+            kind = "limits (low, high), because it is free" if is_free else "a number, because it is fixed"
+            raise TrajectoryError(f"solve: final_time expects {kind} in the problem, got {limits!r}")
         return times
 
     def checked_guess(self, guess: Mapping[Any, Any] | None) -> dict[str, Array]:
