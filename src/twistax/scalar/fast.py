@@ -153,7 +153,7 @@ def fast(
     iterations. Batches of `jax.vmap`, around the function or inside of it, and of `lax.map` run side by side in the
     processor's vectors, or in the threads of a CUDA device.
     What has no such form (libraries, large arrays, effects, random keys) runs as JAX has it, and so does everything on
-    other devices. `fast(f).explain(*arguments)` reports how each part runs. A warning is given once if nothing is gained.
+    other devices. `fast(f).explain(*arguments)` reports how each part runs. It warns once if nothing is gained.
 
     Results have the units of the function. They equal those of the function up to round-off, except that 0 x, 0 / x and
     x - x are zero also where x is infinite or NaN, unless the backend is `tx.Native(tx.XLA(checked=True))`.
