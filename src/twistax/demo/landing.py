@@ -46,7 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
         drawn = tumbling.draw(arguments.out)
     _say("body", *drawn, f"in {time.perf_counter() - begin:.1f} s")
     begin = time.perf_counter()
-    start, vehicle = arguments.initial, scene.Lander()
+    start, vehicle = arguments.initial or scene.Start(), scene.Lander()
     _say("start", *describe_start(start, vehicle))
     dynamics = tx.compile(scene.system(vehicle))
     with tx.trajectory.Progress("check", stream=sys.stdout):

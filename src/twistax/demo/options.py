@@ -27,7 +27,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """The options of `twistax demo`."""
     parser.formatter_class = argparse.RawTextHelpFormatter
     options = {
-        "--initial": (parse_start, "START", "height=900", _INITIAL),
+        "--initial": (parse_start, "START", None, _INITIAL),
         "--guess-seed": (_integer(0, 2**32 - 1), "N", None, _SEED),
         "--nodes": (_integer(5, 200), "N", 25, "nodes of the search, 5 to 200 (25)"),
         "--max-iterations": (_integer(1, 10**6), "N", 400, "iterations after which the search gives up (400)"),

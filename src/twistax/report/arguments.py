@@ -7,6 +7,8 @@ import importlib
 from collections.abc import Callable
 from pathlib import Path
 
+from ..progress import watching
+
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """The options of `twistax report`."""
@@ -49,6 +51,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def _one_of(what: str, module: str, names: str) -> Callable[[str], str]:
+    @watching("load")
     def name(text: str) -> str:
         if text not in (known := list(getattr(importlib.import_module(module, __package__), names))):
             raise argparse.ArgumentTypeError(f"there is no {what} {text!r}; there are {', '.join(known)}")
