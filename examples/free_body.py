@@ -26,10 +26,10 @@ print(dynamics.explain())
 
 start = {"g": tx.pose(), "V": np.array([1.0, 0.5, -0.3, 0.4, 2.0, -0.7])}
 solution = tx.integrate(dynamics, start, t1=5.0, dt=1e-3, save_at=np.linspace(0.0, 5.0, 101))
-outputs = jax.vmap(lambda t, x: dynamics.outputs(t, x))(solution.ts, solution.xs)
+outputs = solution.outputs
 
 print("\n  t     position (m)              momentum in the world frame (N s, N m s)            energy (J)")
-rows = zip(solution.ts, solution.xs["g"], outputs["momentum"], outputs["energy"])
+rows = zip(*map(np.asarray, (solution.ts, solution.xs["g"], outputs["momentum"], outputs["energy"])))
 for t, pose, mu, energy in list(rows)[::20]:
     print(f"{t:4.1f}   {np.round(pose[:3, 3], 4)}   {np.round(mu, 6)}   {energy:.9f}")
 
