@@ -79,7 +79,7 @@ def _names(jaxpr):
 def test_the_numbers_are_those_of_jax(name):
     function = FUNCTIONS[name]
     expected = function(jnp.asarray(A), jnp.asarray(V))
-    found = numerals(function, [A, V], traced=True)
+    found = numerals(function, [A, V], "a function", {})
     assert found.dtype == expected.dtype
     assert found.shape == expected.shape
     np.testing.assert_allclose(found, expected, rtol=1e-15, atol=1e-15)
@@ -106,7 +106,9 @@ def test_an_equation_of_a_later_jax_is_left_to_jax(name):
 
 
 def test_what_numpy_does_not_do_is_left_to_jax():
-    found = numerals(lambda x: jax.lax.while_loop(lambda s: s < 10.0, lambda s: 2.0 * s, x), [np.array(3.0)], True)
+    found = numerals(
+        lambda x: jax.lax.while_loop(lambda s: s < 10.0, lambda s: 2.0 * s, x), [np.array(3.0)], "a loop", {}
+    )
     assert found == 12.0
     assert isinstance(found, np.ndarray)
 

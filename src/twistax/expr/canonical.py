@@ -8,13 +8,16 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
 
 from .graph import postorder
 from .operators import NODES
+
+if TYPE_CHECKING:
+    from .numerals import Formulas
 
 _MARK = "_is_canonical"
 
@@ -26,6 +29,7 @@ def canonicalize_all(roots: Sequence[Any]) -> list[Any]:
     absorbed = {id(c) for n in nodes if n.associative for c in n.children() if type(c) is type(n) and uses[id(c)] == 1}
     done: dict[int, Any] = {}
     operands: dict[int, list[Any]] = {}
+    formulas: Formulas = {}
     for node in nodes:
         if _MARK in node.__dict__:
             done[id(node)] = node
@@ -43,16 +47,18 @@ def canonicalize_all(roots: Sequence[Any]) -> list[Any]:
         if id(node) in absorbed:
             operands[id(node)] = children
         else:
-            done[id(node)] = _settled(node.with_children(children))
+            done[id(node)] = _settled(node.with_children(children), formulas)
     return [done[id(root)] for root in roots]
 
 
-def _settled(node: Any) -> Any:
+def _settled(node: Any, formulas: Formulas) -> Any:
     """Fold and simplify until nothing changes; a rewrite may build new nodes, which are settled first."""
     while _MARK not in node.__dict__:
-        node = node.with_children([_settled(child) for child in node.children()])
+        node = node.with_children(
+            [child if _MARK in child.__dict__ else _settled(child, formulas) for child in node.children()]
+        )
         node.check_shape()
-        simpler = fold(node)
+        simpler = fold(node, formulas)
         if simpler is node:
             simpler = node.simplify()
         if simpler is node:
@@ -61,8 +67,11 @@ def _settled(node: Any) -> Any:
     return node
 
 
-def fold(node: Any) -> Any:
+def fold(node: Any, formulas: Formulas | None = None) -> Any:
     """The Constant a node amounts to when all its children are constants; else the node itself.
+
+    Args:
+        formulas: what JAX traced of nodes that were folded before, to which that of this one is added.
 
     Folding computes in float64 whether or not x64 is on, so that a folded number is as exact as a literal one.
     A result that is not finite is not folded, so that an evaluation reports it where it occurs.
@@ -77,7 +86,8 @@ def fold(node: Any) -> Any:
         result = numerals(
             node.evaluate,
             [child.value for child in children if isinstance(child, Constant)],
-            traced=not node.by_operators,
+            kind=None if node.by_operators else (type(node), node.static_key()),
+            formulas={} if formulas is None else formulas,
         )
     if not np.isfinite(result).all():
         return node

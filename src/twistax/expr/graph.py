@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeVar, runtime_chec
 from ..checks import callable_with, short
 from ..errors import ModelError, OperationError
 from ..scalar.walk import walk
+from .repeated import RepeatedFormulas
 
 if TYPE_CHECKING:
     import jax
@@ -105,6 +106,9 @@ def find_path(root: Node, target: Node) -> str:
 def bottom_up(root: N, slot: str, compute: Callable[[N], Any]) -> Any:
     """Compute a cached property for every node below `root`, children first."""
     if slot not in root.__dict__:
+        if all(slot in child.__dict__ for child in root.children()):  # the case of nearly every call
+            root.__dict__[slot] = compute(root)
+            return root.__dict__[slot]
         for node in walk([root], lambda node: [child for child in node.children() if slot not in child.__dict__]):
             node.__dict__[slot] = compute(node)
     return root.__dict__[slot]
@@ -130,6 +134,7 @@ def evaluate_all(roots: Sequence[Node], read: Callable[[Any], jax.Array]) -> lis
     memo: dict[str, jax.Array] = {}
     distinct = list(walk(roots, lambda node: node.children(), _key))
     shared, needs = _shared_by_branches(roots, distinct)
+    formulas = RepeatedFormulas()
     count = 0
 
     def values(roots: Sequence[Node], scope: Hashable, known: int) -> list[jax.Array]:
@@ -161,7 +166,8 @@ def evaluate_all(roots: Sequence[Node], read: Callable[[Any], jax.Array]) -> lis
             functools.partial(branch, root, (node.key(), k), known)
             for k, root in enumerate(node.children()[len(eager) :])
         ]
-        return node.evaluate_on_demand([memo[child.key()] for child in eager], branches)
+        operands = [memo[child.key()] for child in eager]
+        return node.evaluate_on_demand(operands, branches) if branches else formulas.value(node, operands)
 
     def branch(root: Node, scope: Hashable, known: int) -> jax.Array:
         before = len(memo)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable, Hashable, Sequence
+from typing import Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -12,18 +12,28 @@ import numpy as np
 from ..jax_inside import ClosedJaxpr, Literal, Unread, inner_jaxprs
 from ..scalar.primitives.table import TABLE
 
+#: What JAX traced of functions, by their kinds and the shapes of their arguments; None: NumPy computes something else.
+Formulas: TypeAlias = "dict[Hashable, ClosedJaxpr | None]"
 
-def numerals(function: Callable[..., Any], values: Sequence[np.ndarray], traced: bool) -> np.ndarray:
+
+def numerals(
+    function: Callable[..., Any], values: Sequence[np.ndarray], kind: Hashable | None, formulas: Formulas
+) -> np.ndarray:
     """The one result of a function of arrays, traceable by JAX.
 
     Args:
-        traced: False for a function that takes NumPy's arrays as they are.
+        kind: equal for functions that compute the same; None for one that takes NumPy's arrays as they are.
+        formulas: those of the kinds that were met, to which this one is added.
     """
     with np.errstate(all="ignore"):  # what is not finite is the caller's to judge
-        if not traced:
+        if kind is None:
             return np.asarray(function(*values))
-        closed = jax.make_jaxpr(function)(*values)
-        if _in_numpy(closed.jaxpr):
+        place = (kind, *((value.shape, value.dtype) for value in values))
+        if place not in formulas:
+            traced = jax.make_jaxpr(function)(*values)
+            formulas[place] = traced if _in_numpy(traced.jaxpr) else None
+        closed = formulas[place]
+        if closed is not None:
             return _computed(closed, values)[0]
     return np.asarray(function(*map(jnp.asarray, values)))
 

@@ -61,7 +61,7 @@ def pose(
     if not used:
         (p,) = of_shape("pose", {"position": (3,)}, place)
         _check_finite("position", p)
-        return se3.transform(jnp.eye(3, dtype=p.dtype), p)
+        return se3.transform(jnp.asarray(np.eye(3), p.dtype), p)
     ((name, (value, shape, build)),) = used.items()
     p, attitude = of_shape("pose", {"position": (3,), name: shape}, place, value)
     for what, array in (("position", p), (name, attitude)):

@@ -97,7 +97,8 @@ class ScalarGraph:
         #: The number where a node is one, else None.
         self.numbers: list[Any] = []
         self.calls: list[OpaqueCall] = []
-        #: The nodes that an operation reads; none for numbers, inputs and results of calls.
+        #: The operation of a node; None for numbers, inputs and results of calls. And the nodes that it reads.
+        self._operations: list[Operation | None] = []
         self._arguments: list[tuple[int, ...]] = []
         self._known: dict[tuple[Any, ...], int] = {}
         self._called: dict[Any, OpaqueCall] = {}
@@ -142,9 +143,9 @@ class ScalarGraph:
 
     def node(self, operation: Operation, *arguments: int) -> int:
         """The node of an operation, folded where all arguments are numbers."""
-        numbers = [self.numbers[a] for a in arguments]
         dtype = operation.result or self.dtypes[arguments[-1]]
-        if None not in numbers:
+        # An operation on numbers is rare: they come last where there are any.
+        if self.numbers[arguments[-1]] is not None and None not in (numbers := [self.numbers[a] for a in arguments]):
             # The same few numbers are combined many times.
             known = self._known.get((operation, *arguments))
             if known is None:
@@ -157,6 +158,10 @@ class ScalarGraph:
         if operation.parity and self.nodes[arguments[0]][0] is _NEG and dtype.kind != "u":
             inner = self.node(operation, self.nodes[arguments[0]][1])
             return inner if operation.parity > 0 else self.neg(inner)
+        return self.copied(operation, arguments, dtype)
+
+    def copied(self, operation: Operation, arguments: Sequence[int], dtype: np.dtype[Any]) -> int:
+        """The node of an operation in which there is nothing to simplify, such as one of another graph."""
         if operation.symmetric and arguments[0] > arguments[1]:
             arguments = arguments[::-1]
         self._has_powers = self._has_powers or operation.is_power
@@ -299,6 +304,14 @@ class ScalarGraph:
         call = self.call_of(node)
         return self._arguments[node] if call is None else call.sources
 
+    def simplifies_as(self, other: ScalarGraph) -> bool:
+        """Whether operations of this graph stay as they are in another one, on the same arguments.
+
+        Products with powers may take other factors there.
+        """
+        same = (self.checked, self.signed_zeros) == (other.checked, other.signed_zeros)
+        return same and not self._has_powers
+
     def call_of(self, node: int) -> OpaqueCall | None:
         """The call whose result a node is."""
         entry = self.nodes[node]
@@ -321,8 +334,7 @@ class ScalarGraph:
         return int(entry[2]) if entry[0] is _DIV and entry[1] == self.one else None
 
     def operation(self, node: int) -> Operation | None:
-        entry = self.nodes[node]
-        return entry[0] if isinstance(entry[0], Operation) else None
+        return self._operations[node]
 
     def values(self, array: Nodes) -> NDArray[Any] | None:
         """The numbers of an array of nodes; None unless all are numbers."""
@@ -370,5 +382,7 @@ class ScalarGraph:
             self.nodes.append(key)
             self.dtypes.append(dtype)
             self.numbers.append(number)
-            self._arguments.append(key[1:] if isinstance(key[0], Operation) else ())
+            operation = key[0] if isinstance(key[0], Operation) else None
+            self._operations.append(operation)
+            self._arguments.append(key[1:] if operation else ())
         return node

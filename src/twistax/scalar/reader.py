@@ -144,6 +144,8 @@ class JaxprReader:
         """
         old, new = program.graph, self.graph
         done: set[int] = set()
+        # Where inputs stay inputs there is nothing left to simplify, until a call is unrolled.
+        simple = old.simplifies_as(new) and all(new.input_of(node) is not None for node in known.values())
         for i in program.live if order is None else order:
             if i in known:
                 continue
@@ -152,6 +154,7 @@ class JaxprReader:
                 if id(call) not in done:
                     done.add(id(call))
                     self._copy_call(call, known)
+                    simple = False
             elif operation is None:
                 known[i] = new.constant(old.numbers[i], old.dtypes[i])
             else:
@@ -160,6 +163,9 @@ class JaxprReader:
                     known[i] = new.mul(arguments[0], new.div(new.one, arguments[1]))
                 elif operation.written is not None and not self.keeps_calls:
                     known[i] = operation.written(new)(*arguments)
+                    simple = False
+                elif simple:
+                    known[i] = new.copied(operation, arguments, old.dtypes[i])
                 else:
                     known[i] = operation.on(new)(*arguments)
 

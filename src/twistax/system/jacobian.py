@@ -86,6 +86,7 @@ class RateJacobian:
         self.program = one_by_one(program.restricted(list(blocks.values())))
         self.blocks: dict[str, Nodes] = dict(zip(blocks, self.program.outputs, strict=True))
         self.pattern = {kind: block != g.zero for kind, block in blocks.items()}
+        self.rates = one_by_one(self.rates)  # without the graph of all derivatives, which would stay in memory
 
     def _differentiate(self, dense: Nodes, rows: NDArray[np.bool_], seeds: Seeds) -> None:
         """The derivatives of some of the rates, on the graph."""

@@ -257,15 +257,15 @@ class Straight(KernelBody):
         program, module, g = self.program, code.module, self.program.graph
         blocks = {(k, start): piece for k in self.written for start, piece in rows[f"r{k}"].blocks().items()}
         scratch = Scratch(program, [i for i in program.live if g.operation(i) in _TURNING], blocks)
-        memory = scratch.allocated(code)
+        memory, outputs = scratch.allocated(code), [flat(nodes) for nodes in program.outputs]
         for number, (nodes, complete) in enumerate(scratch.pieces):
             piece = Code(module, self.lanes)
             inner = self._moved(piece)
             scalars = Scalars(piece, program, functools.partial(_entry, inner))
             values = scalars.in_piece(nodes, PieceValues(piece, scratch))
             for k, start in complete:
-                entries = [flat(program.outputs[k])[entry] for entry in blocks[k, start]]
-                inner[f"r{k}"].write_block(start, [scalars.value(i) for i in entries])
+                values_of_block = [scalars.value(outputs[k][entry]) for entry in blocks[k, start]]
+                inner[f"r{k}"].write_block(start, values_of_block)
             values.keep(nodes)
             head = f"ptr noalias %scratch, i64 %last{self._heads('ptr noalias')}"
             module.functions[f"piece.{number}"] = piece.function(f"internal void @piece.{number}({head})")
