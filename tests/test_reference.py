@@ -43,7 +43,8 @@ NO_ERRORS = {
         estimation.GroupAffinity estimation.InertialState estimation.Invariance estimation.PreintegratedImu
         estimation.BatchEstimate Solution Statistics
         Sweep Trim charts.Coordinates diffrax.AmbientTerm diffrax.LieController diffrax.LieTerm mechanics.DaveModel
-        mechanics.BaseParameters mechanics.GivenForces mechanics.ReachResult mechanics.ReachStatus mechanics.Regressor
+        mechanics.BaseParameters mechanics.Bristles mechanics.GivenForces mechanics.ReachResult mechanics.ReachStatus
+        mechanics.Regressor
         mechanics.joints.Screws mechanics.environment.earth.Geodetic mechanics.flight.AirData
         mechanics.flight.Gust mechanics.flight.ImuReading trajectory.Discretization trajectory.Linearization
         trajectory.Accuracy trajectory.ControllerLog

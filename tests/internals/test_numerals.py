@@ -131,3 +131,18 @@ def test_folding_an_arm_compiles_next_to_nothing(caplog):
         tx.compile(arm, backend=tx.XLA())
     compiled = [record for record in caplog.records if record.getMessage().startswith("Compiling")]
     assert len(compiled) < 15, [record.getMessage()[:60] for record in compiled]
+
+
+def test_what_is_traced_once_is_not_taken_for_what_reads_its_operands():
+    """Products with 1 / y are quotients, and tables of numbers are read where they stand."""
+    x, y = tx.State("x", shape=(3,)), tx.State("y", shape=(3,))
+    shifted = [x + k for k in range(1, 5)]
+    roots = [a * b for a in shifted for b in (y, 1.0 / y)] + [tx.linalg.Cross(a, y) for a in shifted]
+    values = {"x": np.array([1.0, -2.0, 0.5]), "y": np.array([3.0, 0.7, -1.1])}
+    expected = [f(values["x"] + k) for k in range(1, 5) for f in (lambda a: a * values["y"], lambda a: a / values["y"])]
+    expected += [np.cross(values["x"] + k, values["y"]) for k in range(1, 5)]
+    found = jax.jit(tx.lower(tuple(roots)))(0.0, values)
+    np.testing.assert_allclose(found, expected, rtol=1e-14)
+    folded = [tx.Linterp(tx.Constant(0.5), [0.0, 1.0], [0.0, float(k)]).canonicalize() for k in range(5)]
+    together = sum((tx.Linterp(tx.Constant(0.5), [0.0, 1.0], [0.0, float(k)]) for k in range(5)), tx.Constant(0.0))
+    assert sum(float(each.value) for each in folded) == float(together.canonicalize().value) == 5.0

@@ -73,6 +73,41 @@ def test_given_forces_have_cones_and_points_at_rest() -> None:
     )
 
 
+SLOPE = np.deg2rad(20.0)
+
+
+@functools.cache
+def on_a_slope(friction: float) -> tx.Dynamics:
+    """A block of 2 kg on a slope of 20 degrees, whose normal is z, that slides along x and y and sinks along z."""
+    body = SpatialInertia(mass=2.0, inertia=np.eye(3))
+    x, y, z = (joints.Prismatic(name, axis) for name, axis in zip("xyz", np.eye(3), strict=True))
+    links = [Link(x, None, np.eye(4)), Link(y, None, np.eye(4), parent="x"), Link(z, body, np.eye(4), parent="y")]
+    robot = Mechanism(links, gravity=9.81 * np.array([np.sin(SLOPE), 0.0, -np.cos(SLOPE)]))
+    grip = Ground(stiffness=1e4, damping=1.0, friction=friction).bristles(robot, ["z"])
+    return tx.compile(robot.system(controls=[], rates=grip.rates, wrenches=grip.wrenches))
+
+
+@pytest.mark.parametrize("friction", [0.5, 0.2])
+def test_a_block_on_a_slope_rests_within_its_friction_cone_alone(friction: float) -> None:
+    """By Coulomb's law: it stays where mu exceeds tan 20 degrees, else a = g (sin 20 - mu cos 20)."""
+    sunk = 2.0 * 9.81 * np.cos(SLOPE) / 1e4
+    x0 = {"q": np.array([0.0, 0.0, -sunk]), "qd": np.zeros(3), "bristle_z": np.zeros(2)}
+    times = np.array([1.0, 1.5, 2.0])
+    sol = tx.integrate(on_a_slope(friction), x0, t1=2.0, dt=2e-4, save_at=times)
+    along, speed = np.asarray(sol.xs["q"])[:, 0], np.asarray(sol.xs["qd"])[:, 0]
+    if friction > np.tan(SLOPE):
+        # The bristle bends until it carries the weight, by d tan 20 / mu, and the block stays where it is then.
+        np.testing.assert_allclose(
+            sol.xs["bristle_z"][-1], [1e-3 * np.tan(SLOPE) / friction, 0.0], rtol=1e-5, atol=1e-9
+        )
+        assert 0.0 < along[-1] < 2e-3
+        np.testing.assert_allclose(np.diff(along), 0.0, atol=1e-7)
+        np.testing.assert_allclose(speed[-1], 0.0, atol=1e-8)
+    else:
+        expected = 9.81 * (np.sin(SLOPE) - friction * np.cos(SLOPE))
+        np.testing.assert_allclose(np.diff(speed), 0.5 * expected, rtol=2e-3)
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [
@@ -81,6 +116,8 @@ def test_given_forces_have_cones_and_points_at_rest() -> None:
         (lambda: mechanics.given_forces(block(), ["low"], friction=-0.1), "friction must be a number not below zero"),
         (lambda: mechanics.given_forces(block(), ["foot"], friction=0.1), "no frame 'foot'"),
         (lambda: GROUND.wrenches(block(), ["foot"]), "no frame 'foot'"),
+        (lambda: GROUND.bristles(block(), ["low"], deflection=0.0), "deflection must be a positive number, got 0.0"),
+        (lambda: Ground(friction=0.0).bristles(block(), ["low"]), "a ground with friction"),
     ],
 )
 def test_what_makes_no_sense_is_refused(make: object, message: str) -> None:

@@ -75,6 +75,15 @@ hopper = Mechanism([Link(joints.Prismatic("leg", [0.0, 0.0, 1.0]), box, np.eye(4
 given = mechanics.given_forces(hopper, ["leg"], friction=0.6)
 list(given.controls), list(given.cones)
 
+# tx.mechanics.Bristles
+from twistax import mechanics
+from twistax.mechanics import Ground, Link, Mechanism, SpatialInertia, joints
+
+box = SpatialInertia(mass=2.0, center_of_mass=[0.0, 0.0, 0.0], inertia=np.diag([0.1, 0.1, 0.1]))
+block = Mechanism([Link(joints.Free("block"), box, np.eye(4))])
+grip = Ground(friction=0.6).bristles(block, ["block"])
+[state.name for state in grip.rates], list(grip.wrenches)
+
 # tx.mechanics.inverse_dynamics_regressor tx.mechanics.Regressor
 from twistax import mechanics
 

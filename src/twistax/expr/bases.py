@@ -45,6 +45,7 @@ class Entrywise(Expr, init=False):
     abstract = True
     keeps_order = True
     of_numbers = True
+    by_values = True
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         return broadcast(self, *shapes)
@@ -67,6 +68,7 @@ class Chained(Entrywise, Variadic, init=False):
     """Base of what combines two or more operands entry by entry, two at a time in any order."""
 
     abstract = True
+    by_values = True
     fewest = 2
     associative = True
 

@@ -87,7 +87,7 @@ def fold(node: Any, formulas: Formulas | None = None) -> Any:
             node.evaluate,
             [child.value for child in children if isinstance(child, Constant)],
             kind=None if node.by_operators else (type(node), node.static_key()),
-            formulas={} if formulas is None else formulas,
+            formulas=formulas if node.by_values and formulas is not None else {},
         )
     if not np.isfinite(result).all():
         return node

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeVar, runtime_chec
 from ..checks import callable_with, short
 from ..errors import ModelError, OperationError
 from ..scalar.walk import walk
-from .repeated import RepeatedFormulas
 
 if TYPE_CHECKING:
     import jax
@@ -131,6 +130,8 @@ def evaluate_all(roots: Sequence[Node], read: Callable[[Any], jax.Array]) -> lis
         ModelError: nested branches share what none of them needs for certain, so that it is evaluated in each, again
             and again.
     """
+    from .numerals import RepeatedFormulas  # not at import: it loads much of JAX that `import jax` does not
+
     memo: dict[str, jax.Array] = {}
     distinct = list(walk(roots, lambda node: node.children(), _key))
     shared, needs = _shared_by_branches(roots, distinct)

@@ -90,6 +90,8 @@ class Expr(Printed, Operators):
     of_numbers: ClassVar[bool] = False
     #: True where `evaluate` needs nothing but operators, indices and methods that NumPy's arrays have too.
     by_operators: ClassVar[bool] = False
+    #: True where `evaluate` reads static fields and the values of operands alone, and not what the operands are.
+    by_values: ClassVar[bool] = True
     #: True for matrices whose `applied_to` is cheaper than a product with their numbers, even where these are known.
     structured: ClassVar[bool] = False
     #: True for states, controls, parameters, constants and time.
@@ -122,6 +124,8 @@ class Expr(Printed, Operators):
             cls.abstract = False
         if {"evaluate", "function"} & cls.__dict__.keys() and "by_operators" not in cls.__dict__:
             cls.by_operators = False  # a new formula has to say so again
+        if {"evaluate", "evaluate_on_demand"} & cls.__dict__.keys() and "by_values" not in cls.__dict__:
+            cls.by_values = False
         declare_fields(cls, Expr.__init__)
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:

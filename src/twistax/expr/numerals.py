@@ -1,4 +1,6 @@
-"""A function of arrays computed on NumPy's numbers: XLA would compile a program for each operation."""
+"""Functions of arrays that are met many times: on numbers by NumPy, where XLA would compile a program for each
+operation, and on arrays that JAX traces.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..jax_inside import ClosedJaxpr, Literal, Unread, inner_jaxprs
+from ..jax_inside import ClosedJaxpr, Literal, Unread, inner_jaxprs, is_traced, jaxpr_as_fun
 from ..scalar.primitives.table import TABLE
 
 #: What JAX traced of functions, by their kinds and the shapes of their arguments; None: NumPy computes something else.
@@ -93,3 +95,34 @@ def _computed(closed: ClosedJaxpr, values: Sequence[Any]) -> list[np.ndarray]:
             results = output if eqn.primitive.multiple_results else [output]
         known.update(zip(eqn.outvars, results, strict=True))
     return list(map(value, jaxpr.outvars))
+
+
+# ---- formulas on arrays that JAX traces -----------------------------------------------------------------------------
+
+#: A formula is traced alone where it is met for this time.
+_OFTEN = 3
+
+
+class RepeatedFormulas:
+    """The formulas that one evaluation of expressions met: how often, or what JAX traced of them.
+
+    A function of `jax.numpy` checks and promotes its arguments at each call, which takes several times as long as the
+    operations that it comes to. A robot of thirty links has ten thousand nodes, of some hundred kinds.
+    """
+
+    def __init__(self) -> None:
+        self._met: dict[Hashable, int] = {}
+        self._traced: dict[Hashable, Callable[..., list[Any]]] = {}
+
+    def value(self, node: Any, operands: Sequence[Any]) -> Any:
+        """The value of a node without branches, from those of its operands."""
+        if not node.by_values or not is_traced(operands):
+            return node.evaluate_on_demand(operands, [])
+        kind = (type(node), node.static_key(), *map(jax.typeof, operands))
+        if kind not in self._traced:
+            times = self._met[kind] = self._met.get(kind, 0) + 1
+            if times < _OFTEN:
+                return node.evaluate_on_demand(operands, [])
+            formula = jax.make_jaxpr(lambda *values: node.evaluate_on_demand(list(values), []))
+            self._traced[kind] = jaxpr_as_fun(formula(*operands))
+        return self._traced[kind](*operands)[0]

@@ -3,8 +3,9 @@
 A point of contact is the origin of a frame; its Jacobian is that of the frame (`frame_jacobian`). Forces are in the
 base's axes, the ground's normal is the base's z.
 
-Source: K. Hunt, F. Crossley, Coefficient of restitution interpreted as damping in vibroimpact, Journal of Applied
-Mechanics (1975), for the normal force.
+Sources: K. Hunt, F. Crossley, Coefficient of restitution interpreted as damping in vibroimpact, Journal of Applied
+Mechanics (1975), for the normal force. C. Canudas de Wit, H. Olsson, K. Astrom, P. Lischinsky, A new model for control
+of systems with friction, IEEE Transactions on Automatic Control 40 (1995), equations (1) to (3), for the bristles.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 
 from ..checks import number
 from ..errors import ModelError
-from ..expr import Concat, Constant, Constraint, Control, Dot, Expr, Norm, Sqrt
+from ..expr import Concat, Constant, Constraint, Control, Dot, Expr, Max, Norm, Sqrt, State
 from ..expr.fields import ExprLike
 from ..expr.lie import wrench
 from .algorithms.dynamics import checked
@@ -64,6 +65,19 @@ def given_forces(mechanism: KinematicTree, frames: Collection[str], friction: fl
 
 
 @dataclasses.dataclass(frozen=True)
+class Bristles:
+    """Contacts with stiction, as arguments of `system`. Made by `Ground.bristles`.
+
+    Attributes:
+        rates: of the State "bristle_<frame>" (2,) of each frame, m, for `rates=`. Zero is a start at rest.
+        wrenches: for `wrenches=`.
+    """
+
+    rates: dict[State, Expr]
+    wrenches: dict[str, Expr]
+
+
+@dataclasses.dataclass(frozen=True)
 class Ground:
     """A compliant, level ground: a smooth contact force on every point below it, and almost none on points above it.
 
@@ -99,12 +113,56 @@ class Ground:
 
     def force(self, place: Expr, velocity: Expr) -> Expr:
         """The force (3,), N, on a point at `place` (3,) that moves with `velocity` (3,), all in axes of the base."""
-        depth, penetration_rate = self.height - place[2], -velocity[2]
-        damping_factor = _positive(1.0 + self.damping * penetration_rate, 1e-3)
-        normal = self.stiffness * _positive(depth, self.sharpness) * damping_factor
-        v = velocity[:2]  # tangential
+        normal, v = self.normal(place, velocity), velocity[:2]
         friction = (-self.friction) * normal * v / Sqrt(Dot(v, v) + self.slip**2)
         return Concat(friction, normal)
+
+    def bristles(
+        self,
+        mechanism: KinematicTree,
+        frames: Collection[str],
+        deflection: float = 1e-3,
+        damping: float = 20.0,
+    ) -> Bristles:
+        """Friction with stiction at the origins of frames: a point under a force within the friction cone stays.
+
+        A bristle z (2,), m, is the elastic deflection of a contact, and d the largest one:
+        $\\dot z = v - |v| z / d$, with the tangential velocity v. The friction is
+        $f_t = -\\mu n y / max(1, |y|)$ with $y = z / d + \\sigma \\dot z$ and the normal force n, which is the LuGre
+        model with its force projected onto the friction cone. |z| <= d holds for ever where it holds at first. Sliding
+        at constant velocity the force is $\\mu n$. At rest z stays, and nothing creeps, where `wrenches` creeps at a
+        speed of the size of `slip`. A force that oscillates within the cone moves a point slowly. In the air a bristle
+        follows the velocity without effect, for n is almost zero.
+
+        Args:
+            mechanism: a tree or a chain.
+            frames: names of the frames; the contact points are their origins.
+            deflection: d, m, positive. Small motions have the stiffness mu n / d.
+            damping: sigma, s/m, not negative. 2 / sqrt(mu g d) is the critical damping of a block under its weight.
+        Raises: ModelError: a frame that is not known, a ground without friction, or other numbers.
+        Example:
+            grip = Ground(friction=0.5).bristles(walker, ["foot"])
+            standing = walker.system(controls=[], rates=grip.rates, wrenches=grip.wrenches)
+        """
+        number("Ground.bristles: deflection", deflection, "a positive number", lambda a: 0.0 < a < np.inf, ModelError)
+        number("Ground.bristles: damping", damping, "a number not below zero", lambda a: 0.0 <= a < np.inf, ModelError)
+        if not self.friction:
+            raise ModelError("Ground.bristles expects a ground with friction, got friction=0.0.\n  fix: use wrenches")
+        result = Bristles({}, {})
+        for name in [frames] if isinstance(frames, str) else frames:
+            velocity = frame_twist(mechanism, name, axes=ALIGNED)[:3]
+            z, v = State(f"bristle_{name}", (2,)), velocity[:2]
+            rate = result.rates[z] = v - Norm(v) * z / deflection
+            bent, normal = z / deflection + damping * rate, self.normal(mechanism.pose(name)[:3, 3], velocity)
+            tangential = (-self.friction) * normal * bent / Max(1.0, Norm(bent))
+            result.wrenches[name] = _at_origin(mechanism, name, None, Concat(tangential, normal))
+        return result
+
+    def normal(self, place: Expr, velocity: Expr) -> Expr:
+        """The normal force n (), N, on a point at `place` (3,) that moves with `velocity` (3,), in axes of the base."""
+        depth, penetration_rate = self.height - place[2], -velocity[2]
+        damping_factor = _positive(1.0 + self.damping * penetration_rate, 1e-3)
+        return self.stiffness * _positive(depth, self.sharpness) * damping_factor
 
     def wrenches(
         self, mechanism: KinematicTree, frames: Collection[str], q: Positions | None = None, qd: ExprLike | None = None

@@ -65,6 +65,7 @@ class TwistNode(Expr):
     # Not annotated here: each node declares `order: Order = LINEAR_FIRST` after its operands.
     order = LINEAR_FIRST
     abstract = True
+    by_values = True
 
     def validate(self) -> None:
         if hasattr(self, "transform"):
@@ -155,6 +156,7 @@ class _Part(ColumnsNode):
     order: Order = LINEAR_FIRST
     kinds = lie_rules.HALF
     abstract = True
+    by_values = True
     cases = (*both_orders(vector=TWIST), {"vector": COLUMNS})
     #: Which operand of JoinedParts it is.
     place: ClassVar[int] = 0
@@ -206,6 +208,7 @@ class JoinedParts(ColumnsNode):
     Raises: ShapeError if a part has no three rows, or the parts differ in shape.
     """
 
+    by_values = True
     linear: Operand
     angular: Operand
     order: Order = LINEAR_FIRST

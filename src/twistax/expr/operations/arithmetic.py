@@ -302,6 +302,7 @@ class MatMul(Expr):
 
     kinds = rules.MATRIX_PRODUCT
     of_numbers = True
+    by_values = True
     left: Operand
     right: Operand
     infix = "@"

@@ -23,7 +23,7 @@ from ...kernel_cache import version
 from .code import Module
 from .handler import API, write_host_handler, write_slots
 from .kernel_body import KernelBody
-from .machine_code import MachineCode, Processor, compiled, give_back, load, written_by
+from .machine_code import MachineCode, Processor, compiled, load, written_by
 
 #: "As many threads as there are".
 _ALL = 2**31
@@ -228,13 +228,10 @@ def _retire(place: ctypes.c_void_p, code: Any) -> None:
 
 def _free() -> None:
     """Free code that has been retired for long enough, unless the same kernel has been made again."""
-    before = len(_RETIRED)
     while _RETIRED and time.monotonic() - _RETIRED[0][0] > _RETIREMENT:
         _, place, code = _RETIRED.pop(0)
         if place.value == code.addresses["handler"]:
             place.value = None
-    if len(_RETIRED) < before:
-        give_back()
 
 
 def named(text: str, processor: Processor) -> str:

@@ -201,16 +201,6 @@ def load(
         return MachineCode(engine, names)
 
 
-def give_back() -> None:
-    """Let the C library return memory that LLVM and XLA freed to the system, where it can be asked.
-
-    glibc keeps freed pages between pages in use: of small systems that are compiled and dropped one after the other,
-    1.3 MB each, two thirds of them free.
-    """
-    with contextlib.suppress(AttributeError, OSError, TypeError):
-        ctypes.CDLL(None).malloc_trim(0)
-
-
 def _target_machine(processor: Processor, level: int) -> Any:
     import llvmlite.binding as llvm
 
