@@ -51,10 +51,10 @@ def determined(A: Array, y: Array, tolerance: float) -> Solution:
 
     b = A.shape[1]
     all_rows = np.vstack([np.column_stack([A, y]), np.zeros((max(b + 1 - len(A), 0), b + 1))])
-    small = np.linalg.qr(all_rows, mode="r")  # as many rows as columns
+    small: Array = np.asarray(np.linalg.qr(all_rows, mode="r"))  # as many rows as columns
     single = _deviations(small[:, :b]) <= tolerance
     order, p = np.concatenate([np.flatnonzero(single), np.flatnonzero(~single)]), int(single.sum())
-    R = np.linalg.qr(small[:, [*order, b]], mode="r")
+    R: Array = np.asarray(np.linalg.qr(small[:, [*order, b]], mode="r"))
     R, c = R[:b, :b], R[:b, b]
     U, s, Vt = np.linalg.svd(R[p:, p:])
     seen = s > _ROUNDING * (np.abs(R).max(initial=0.0) + np.finfo(float).tiny)

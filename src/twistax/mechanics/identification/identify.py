@@ -40,8 +40,9 @@ def identify(
 ) -> Identification:
     """Parameters of bodies and drives from measured motions and joint forces, by weighted least squares.
 
-    The forces of the motors are $tau = Y(q, qd, qdd) theta$ less those of springs, with noise. With $theta$ of known links and drives taken
-    from the mechanism, and the base parameters $beta = C theta$ of the unknown ones, it minimises
+    The forces of the motors are $tau = Y(q, qd, qdd) theta$ less those of springs, with noise. With $theta$ of known
+    links and drives taken from the mechanism, and the base parameters $beta = C theta$ of the unknown ones, it
+    minimises
 
         $sum |(tau - Y_b beta) / sigma|^2$,  covariance $(Y_b^T Sigma^-1 Y_b)^-1$,
 
@@ -141,7 +142,7 @@ class _Task:
             mass, length = self.stacked.size(self.theta)
             if not mass:
                 raise ModelError(
-                    "identify: the mechanism has no masses off its joints, so the size of its parameters is not known.\n"
+                    "identify: the mechanism has no masses off its joints, so the size of its parameters is unknown.\n"
                     "  fix: size=(kg, m) of a typical body"
                 )
             return mass, length

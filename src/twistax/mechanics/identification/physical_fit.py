@@ -1,4 +1,4 @@
-"""Physical parameters that fit the forces best: bodies by their ten log-Cholesky numbers, drives that are not negative."""
+"""Physical parameters that fit the forces best: bodies by log-Cholesky numbers, drives that are not negative."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 #: The standard deviation, of logarithms and in parts of sizes, about the mechanism's values: a weak pull that leaves
 #: what the data do not determine where it was.
 _PULL = 3.0
-#: Iterations at most, and the predicted decrease of the sum of squares, in units of the noise, that counts as a minimum.
+#: Iterations at most, and the predicted decrease of the sum of squares, in units of the noise, of a minimum.
 _ITERATIONS, _NEGLIGIBLE = 300, 0.25
 #: Where the root of a drive's parameter begins if the mechanism has none, in parts of sizes: at zero its slope is zero.
 _LEAST_DRIVE = 0.03
@@ -57,7 +57,7 @@ class PhysicalFit:
         y: Array,
     ) -> None:
         segments = [i for i in range(len(mechanism.segments)) if unknown[i * len(BODY)]]
-        R = np.linalg.qr(np.column_stack([A, y.ravel()]), mode="r")
+        R: Array = np.asarray(np.linalg.qr(np.column_stack([A, y.ravel()]), mode="r"))
         self._R, self._c, self._scales = R[:, :-1], R[:, -1], scales[unknown]
         for i in segments:
             log_cholesky(_body_of(mechanism, i))  # which refuses others
@@ -84,7 +84,8 @@ class PhysicalFit:
                 return self._parameters(x), True
             while damping < 1e12:
                 with np.errstate(over="ignore", invalid="ignore"):
-                    trial = x.moved(-np.linalg.solve(H + damping * np.diag(np.diag(H)), g))
+                    step: Array = np.asarray(np.linalg.solve(H + damping * np.diag(np.diag(H)), -g))
+                    trial = x.moved(step)
                     after = self._misfit(trial)
                 if np.sum(after**2) < np.sum(r**2):
                     x, r, damping = trial, after, 0.2 * damping
