@@ -62,12 +62,12 @@ def determined(A: Array, y: Array, tolerance: float) -> Solution:
     well = seen & (s * tolerance >= 1.0)
     # Estimates are E c: of x[:p], and of the directions of the rest.
     E = np.zeros((b, b))
-    others = (Vt.T * inverse) @ U.T
+    inverse_R = (Vt.T * inverse) @ U.T
     E[:p, :p] = solve_triangular(R[:p, :p], np.eye(p))
-    E[:p, p:] = -E[:p, :p] @ R[:p, p:] @ others
+    E[:p, p:] = -E[:p, :p] @ R[:p, p:] @ inverse_R
     E[p:, p:] = inverse[:, None] * U.T
     x = np.zeros(b)
-    x[order] = np.concatenate([E[:p] @ c, others @ c[p:]])
+    x[order] = np.concatenate([E[:p] @ c, inverse_R @ c[p:]])
     E = E[np.concatenate([np.ones(p, dtype=bool), well])]
     rows = Vt[well]
     pivots = np.sort(qr(rows, mode="r", pivoting=True)[1][: len(rows)]) if len(rows) else np.zeros(0, dtype=int)
