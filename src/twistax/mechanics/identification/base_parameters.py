@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...checks import number, reals, whole
+from ...checks import name_list, number, reals, whole
 from ...errors import ModelError
 from ...progress import watching
 from ..algorithms.dynamics import checked
@@ -56,6 +56,7 @@ def identifiable_combinations(W: Any, names: Sequence[str], tolerance: float = 1
     Raises: ModelError for something else, or entries that are not finite.
     """
     owner = "identifiable_combinations"
+    names = name_list(f"{owner}: names", names, ModelError)
     matrix = reals(f"{owner}: W", W, ModelError).astype(np.float64)
     if matrix.ndim != 2 or matrix.shape[1] != len(names) or not np.isfinite(matrix).all():
         raise ModelError(
@@ -118,7 +119,7 @@ def base_parameters(
     checked("base_parameters", mechanism)
     if not mechanism.dofs:
         raise ModelError("base_parameters expects a mechanism with a joint that moves, got none")
-    kinds = None if drives is None else (drives,) if isinstance(drives, str) else tuple(drives)
+    kinds = None if drives is None else name_list("base_parameters: drives", drives, ModelError)
     stacked = StackedRegressor.of(mechanism, kinds)
     count = None if samples is None else whole("base_parameters: samples", samples, 1, ModelError)
     return identifiable_combinations(stacked.random_matrix({}, count, seed), stacked.names)

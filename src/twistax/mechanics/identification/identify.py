@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...checks import instance, listed, number, reals
+from ...checks import instance, listed, name_list, number, reals
 from ...errors import InputError, ModelError
 from ...progress import Progress
 from ..algorithms.dynamics import checked
@@ -16,7 +16,7 @@ from ..mechanism import Mechanism
 from .base_parameters import BaseParameters, identifiable_combinations, sum_of
 from .determined import ZERO, Solution, determined
 from .identification import Identification, correlation, status_of
-from .joint_records import JointRecords
+from .joint_records import LARGEST, JointRecords
 from .physical_fit import PhysicalFit
 from .regressor import BODY, DRIVE
 from .stacked_regressor import StackedRegressor
@@ -81,6 +81,7 @@ def identify(
         `identify(arm, {"q": q, "qd": qd, "qdd": qdd, "tau": tau}, links=["hand"], noise=0.1).estimate("hand.mass")`
     """
     with Progress("identify", shown=None):
+        instance("identify: params", params, Mapping | None, "values by name", InputError)
         task = _Task(mechanism, records, links, drives, dict(params or {}), size)
         number("identify: tolerance", tolerance, "a positive number", lambda x: 0.0 < x < np.inf)
         sigma = _noise(noise, mechanism.dofs)
@@ -124,6 +125,8 @@ class _Task:
             )
         self.mechanism, self.stacked = mechanism, StackedRegressor.of(mechanism, DRIVE)
         data = JointRecords.of("identify", records, self.stacked.states)
+        if unknown := sorted(set(params) - self.stacked.params):
+            raise InputError(f"identify: params has {listed(unknown)}; it takes {listed(sorted(self.stacked.params))}")
         self.theta = self.stacked.values(params)
         self.scales = self.stacked.scales(*self._size(size))
         self.unknown = self._unknown(links, drives)
@@ -157,12 +160,12 @@ class _Task:
         if links is None:
             chosen = {i for i, segment in enumerate(segments) if segment.body is not None}
         else:
-            names = (links,) if isinstance(links, str) else tuple(links)
+            names = name_list("identify: links", links, ModelError)
             chosen = {self.mechanism.frame(name).segment for name in names}
             still = [name for name in names if self.mechanism.frame(name).segment < 0]
             if still:
                 raise ModelError(f"identify: no joint force depends on {listed(still)}, which the base carries")
-        kinds = (drives,) if isinstance(drives, str) else tuple(drives)
+        kinds = name_list("identify: drives", drives, ModelError)
         for kind in kinds:
             if kind not in DRIVE:
                 raise ModelError(f"identify expects drives among {listed(DRIVE, kind)}, got {kind!r}")
@@ -242,6 +245,6 @@ def _noise(noise: Any, n: int) -> Array | None:
     if noise is None:
         return None
     sigma = reals("identify: noise", noise, InputError).astype(np.float64)
-    if sigma.shape not in ((), (n,)) or not (np.isfinite(sigma).all() and (sigma > 0.0).all()):
+    if sigma.shape not in ((), (n,)) or not ((sigma >= 1.0 / LARGEST) & (sigma <= LARGEST)).all():
         raise InputError(f"identify expects noise as one positive number or ({n},) of them, got {noise!r}")
     return np.broadcast_to(sigma, (n,)).copy()

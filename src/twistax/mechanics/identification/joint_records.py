@@ -18,6 +18,8 @@ from ...groups.arrays import element_defect
 Array = NDArray[np.float64]
 #: The name of the forces of the joints.
 FORCES = "tau"
+#: Squares of what is larger, in units of what is smaller than its inverse, overflow.
+LARGEST = 1e50
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,11 +53,11 @@ class JointRecords:
             if value.shape != (count, *shape) or not count:
                 size = ", ".join(["samples", *map(str, shape)])
                 raise InputError(f"{owner} expects records of {name!r} with shape ({size}), got {value.shape}")
-            wrong = np.flatnonzero(~np.isfinite(value.reshape(count, -1)).all(axis=1))
+            wrong = np.flatnonzero(~(np.abs(value.reshape(count, -1)) <= LARGEST).all(axis=1))
             if wrong.size:
                 raise InputError(
-                    f"{owner} expects finite records, got {short(value[wrong[0]])} for {name!r} at sample "
-                    f"{int(wrong[0])}.\n  fix: leave out the {wrong.size} samples that are not finite"
+                    f"{owner} expects finite records below {LARGEST:g}, got {short(value[wrong[0]])} for {name!r} at "
+                    f"sample {int(wrong[0])}.\n  fix: leave out the {wrong.size} samples that are not"
                 )
             arrays[name] = value
         counts = {name: len(value) for name, value in arrays.items()}

@@ -60,7 +60,7 @@ class PhysicalFit:
         R: Array = np.asarray(np.linalg.qr(np.column_stack([A, y.ravel()]), mode="r"))
         self._R, self._c, self._scales = R[:, :-1], R[:, -1], scales[unknown]
         for i in segments:
-            log_cholesky(_body_of(mechanism, i))  # which refuses others
+            _check_body(mechanism, i)
         bodies = theta[: len(BODY) * len(mechanism.segments)].reshape(-1, len(BODY))[segments]
         roots = np.sqrt((theta / scales)[unknown][bodies.size :] + _LEAST_DRIVE**2)
         self._start = _Physical(_factor(bodies), roots)
@@ -162,14 +162,18 @@ def _parameters_of(J: Array) -> Array:
     return np.stack([J[..., 3, 3], *(J[..., i, 3] for i in range(3)), *moments], axis=-1)
 
 
-def _body_of(mechanism: Mechanism, i: int) -> SpatialInertia:
+def _check_body(mechanism: Mechanism, i: int) -> None:
+    """Raise ModelError for a segment whose body is missing, flat or not physical."""
     segment = mechanism.segments[i]
     if segment.body is None:
         raise ModelError(
             f"identify: link {segment.link.name!r} has no body, where a physical fit begins.\n"
             "  fix: with_inertia({...}) with a body of about the right size"
         )
-    return segment.body
+    try:
+        log_cholesky(segment.body)
+    except ModelError as error:
+        raise ModelError(f"identify: a physical fit begins at the body of {segment.link.name!r}: {error}") from None
 
 
 def _fitted(

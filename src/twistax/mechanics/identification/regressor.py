@@ -16,7 +16,7 @@ from collections.abc import Collection
 
 import numpy as np
 
-from ...checks import listed
+from ...checks import listed, name_list
 from ...errors import ModelError
 from ...expr import Block, Concat, Constant, Dot, Expr, Stack, Tanh, to_expr
 from ...expr.fields import ExprLike
@@ -174,7 +174,7 @@ def _of_drives(owner: str, mechanism: KinematicTree, drives: Collection[str] | N
     moving = [segment for segment in mechanism.segments if segment.freedoms]
     if drives is None:
         return [(segment, "armature") for segment in moving if segment.link.drive.rotor is not None]
-    kinds = (drives,) if isinstance(drives, str) else tuple(drives)
+    kinds = name_list("inverse_dynamics_regressor: drives", drives, ModelError)
     for kind in kinds:
         if kind not in DRIVE:
             raise ModelError(f"{owner} expects drives among {listed(DRIVE, kind)}, got {kind!r}")

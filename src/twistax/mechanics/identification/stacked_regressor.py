@@ -11,7 +11,7 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from ...expr import Concat, Constant, Expr, State, leaves_of
+from ...expr import Concat, Constant, Expr, Parameter, State, leaves_of
 from ...scalar.fast import part_of_package
 from ...system.lower import lower
 from ..kinematic_tree import KinematicTree
@@ -37,6 +37,7 @@ class StackedRegressor:
     Attributes:
         regressor: the expressions.
         states: the states of a sample, with "qdd".
+        params: the names of Parameters.
     """
 
     def __init__(self, mechanism: KinematicTree, drives: tuple[str, ...] | None) -> None:
@@ -50,6 +51,8 @@ class StackedRegressor:
         theta = [State(f"parameters {i}", (int(width),)) for i, width in enumerate(widths)]
         self._forces = self._compiled(forces_of_parameters(mechanism, Concat(*theta), drives, qdd), by_column=True)
         self._springs = self._compiled(_springs(mechanism), by_column=False)
+        roots = (self.regressor.matrix, self.regressor.parameters, _springs(mechanism))
+        self.params = {leaf.name for leaf in leaves_of(*roots) if isinstance(leaf, Parameter)}
         self._values = jax.jit(lower(self.regressor.parameters))
         q = mechanism.q
         self.states: tuple[State, ...] = (*([q] if isinstance(q, State) else q.values()), mechanism.qd, qdd)
@@ -63,10 +66,11 @@ class StackedRegressor:
     @staticmethod
     def _compiled(forces: Expr, *, by_column: bool) -> Any:
         needed, function = {leaf.name for leaf in leaves_of(forces) if isinstance(leaf, State)}, lower(forces)
+        known = {leaf.name for leaf in leaves_of(forces) if isinstance(leaf, Parameter)}
 
         def at(sample: Any, column: Any, params: Any) -> Any:
             x = {name: value for name, value in {**sample, **column}.items() if name in needed}
-            return function(0.0, x, params=params)
+            return function(0.0, x, params={name: value for name, value in params.items() if name in known})
 
         one = part_of_package(at)
         columns = jax.vmap(one, in_axes=(None, 0, None)) if by_column else one
