@@ -14,6 +14,7 @@ BODY = SpatialInertia(mass=1.0, center_of_mass=(0.1, 0.0, 0.2), inertia=0.1 * np
 ARM = mechanics.Chain(
     [Link(joints.Revolute(n, (0.0, 1.0, 0.0)), BODY, tx.pose(position=[0.0, 0.0, 0.3])) for n in ("a", "b")]
 )
+POINT = SpatialInertia(mass=1.0, center_of_mass=(0.0, 0.3, 0.0), inertia=np.zeros((3, 3)))
 TARGET = np.array([0.1, 0.0, 0.5])
 
 
@@ -30,6 +31,17 @@ def records(**changes: Any) -> dict[str, Any]:
         (lambda: ARM.to_mjcf(3), ModelError, "to_mjcf: name expects text"),
         (lambda: ARM.to_urdf(leave_out=None), ModelError, "leave_out expects names"),
         (lambda: Drive(upper=np.inf), ModelError, "None where there is no limit"),
+        (lambda: ARM.system(controls=3), ModelError, "joints expects names"),
+        (lambda: ARM.system(rates=[1]), ModelError, "rates are expressions by states"),
+        (lambda: ARM.system(forces=[np.nan, 0.0]), ModelError, "forces to be finite"),
+        (lambda: ARM.system(wrenches={"b": np.full(6, np.inf)}), ModelError, "wrench at 'b' to be finite"),
+        (lambda: ARM.inverse_system(outputs=[1]), ModelError, "outputs expects expressions by name"),
+        (
+            lambda: ARM.replace(drives={"a": Drive(gear=0.0)}).inverse_system(),
+            ModelError,
+            "motors of 'a' have the gear zero",
+        ),
+        (lambda: ARM.with_inertia({"b": POINT}).system(), ModelError, "no inertia about the axis of joint 'b'"),
         (lambda: reach(ARM, {"b": "far"}), InputError, "real numbers"),
         (lambda: reach(ARM, {"b": None}), InputError, "real numbers"),
         (lambda: reach(ARM, {"b": [[1.0, 2.0], [3.0]]}), InputError, "real numbers"),

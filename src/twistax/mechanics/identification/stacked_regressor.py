@@ -126,8 +126,9 @@ class StackedRegressor:
 
     def _of_drive(self, name: str, mass: float, length: float) -> float:
         joint, _, kind = name.rpartition(".")
-        H = np.asarray(self.mechanism.segment_of(joint).link.joint.motion_subspace.value)  # type: ignore[attr-defined]
-        inertia = mass * length ** (2 if np.any(H[3:]) else 0)
+        H = self.mechanism.segment_of(joint).link.joint.motion_subspace
+        slides = isinstance(H, Constant) and not np.any(H.value[3:])
+        inertia = mass * length ** (0 if slides else 2)
         rate = np.sqrt(_GRAVITY / length)
         return float(inertia * {DRIVE[0]: 1.0, DRIVE[1]: rate, DRIVE[2]: rate**2}[kind])
 
