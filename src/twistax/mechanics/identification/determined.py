@@ -15,7 +15,7 @@ ZERO = 1e-7
 
 
 @dataclasses.dataclass(frozen=True)
-class Solution:
+class LeastSquaresSolution:
     """The least squares solution of $A x = y$ with noise of unit variance.
 
     Attributes:
@@ -35,7 +35,7 @@ class Solution:
     residuals: Array
 
 
-def determined(A: Array, y: Array, tolerance: float) -> Solution:
+def determined(A: Array, y: Array, tolerance: float) -> LeastSquaresSolution:
     """The solution of $A x = y$ in the directions whose standard deviation is at most the tolerance.
 
     Unknowns that are determined one by one come out as they are. For the rest, with all others free, the information
@@ -82,7 +82,7 @@ def determined(A: Array, y: Array, tolerance: float) -> Solution:
     first = np.argsort(begin)
     D, E = D[:, np.argsort(order)][first], E[first]
     left = np.setdiff1d(np.arange(b), begin)
-    return Solution(D, E @ c, E @ E.T, tuple(begin[first].tolist()), tuple(left.tolist()), y - A @ x)
+    return LeastSquaresSolution(D, E @ c, E @ E.T, tuple(begin[first].tolist()), tuple(left.tolist()), y - A @ x)
 
 
 def _deviations(A: Array) -> Array:

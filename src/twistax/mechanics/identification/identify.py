@@ -14,7 +14,7 @@ from ...progress import Progress
 from ..algorithms.dynamics import checked
 from ..mechanism import Mechanism
 from .base_parameters import BaseParameters, identifiable_combinations, sum_of
-from .determined import ZERO, Solution, determined
+from .determined import ZERO, LeastSquaresSolution, determined
 from .identification import Identification, correlation, status_of
 from .joint_records import LARGEST, JointRecords
 from .physical_fit import PhysicalFit
@@ -178,7 +178,7 @@ class _Task:
 
     # ---- least squares -----------------------------------------------------------------------------------------------
 
-    def solution(self, sigma: Array, tolerance: float) -> Solution:
+    def solution(self, sigma: Array, tolerance: float) -> LeastSquaresSolution:
         """The base parameters in parts of their sizes, weighted by the noise (n,)."""
         columns = list(self.base.columns)
         A = self.Y[:, :, columns] * self.scales[self.unknown][columns] / sigma[:, None]
@@ -207,7 +207,7 @@ class _Task:
         A = (self.Y * self.scales[self.unknown] / sigma[:, None]).reshape(-1, int(self.unknown.sum()))
         return PhysicalFit(self.mechanism, self.stacked, self.unknown, self.theta, self.scales, A, self.y / sigma)
 
-    def result(self, solution: Solution, sigma: Array, fit: PhysicalFit | None) -> Identification:
+    def result(self, solution: LeastSquaresSolution, sigma: Array, fit: PhysicalFit | None) -> Identification:
         """All of it in the units of the parameters, with a one for the first parameter of each combination."""
         names = tuple(np.array(self.stacked.names, dtype=object)[self.unknown])
         scales, count = self.scales[self.unknown], len(self.y)
