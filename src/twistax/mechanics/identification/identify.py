@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ...checks import instance, listed, name_list, number, reals
 from ...errors import InputError, ModelError
-from ...progress import Progress
+from ...progress import watching
 from ..algorithms.dynamics import checked
 from ..mechanism import Mechanism
 from .base_parameters import BaseParameters, identifiable_combinations, sum_of
@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 _PASSES, _LEAST_NOISE = 4, 1e-12
 
 
+@watching("identify")
 def identify(
     mechanism: Mechanism,
     records: Mapping[str, Any],
@@ -80,16 +81,15 @@ def identify(
     Example:
         `identify(arm, {"q": q, "qd": qd, "qdd": qdd, "tau": tau}, links=["hand"], noise=0.1).estimate("hand.mass")`
     """
-    with Progress("identify", shown=None):
-        instance("identify: params", params, Mapping | None, "values by name", InputError)
-        task = _Task(mechanism, records, links, drives, dict(params or {}), size)
-        number("identify: tolerance", tolerance, "a positive number", lambda x: 0.0 < x < np.inf)
-        sigma = _noise(noise, mechanism.dofs)
-        if sigma is None:
-            sigma = task.estimated_noise()
-        solution = task.solution(sigma, tolerance)
-        fit = task.physical_fit(sigma) if physical else None
-        return task.result(solution, sigma, fit)
+    instance("identify: params", params, Mapping | None, "values by name", InputError)
+    task = _Task(mechanism, records, links, drives, dict(params or {}), size)
+    number("identify: tolerance", tolerance, "a positive number", lambda x: 0.0 < x < np.inf)
+    sigma = _noise(noise, mechanism.dofs)
+    if sigma is None:
+        sigma = task.estimated_noise()
+    solution = task.solution(sigma, tolerance)
+    fit = task.physical_fit(sigma) if physical else None
+    return task.result(solution, sigma, fit)
 
 
 class _Task:
