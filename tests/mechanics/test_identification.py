@@ -45,7 +45,7 @@ def test_base_parameters_of_public_robots() -> None:
     for path in sorted(ROBOTS.rglob("*.urdf")):
         if path.name not in BROKEN and 0 < mechanics.load(path, physical=False, quarter_turns=0.0).dofs <= 12:
             robot, _, Y, theta = of_pinocchio(path)
-            base_parameters_agree(robot, Y, theta)
+            base_parameters_agree(robot, Y, theta, 1e-7)  # as coefficients that count as zero
             count += 1
     assert count >= 22 or not ROBOTS.is_dir()
 
@@ -66,11 +66,11 @@ def of_pinocchio(path: Path) -> tuple[Mechanism, dict[str, Any], np.ndarray, np.
     return robot, {**{k: x[0] for k, x in ours.items()}, "qd": qd[0], "qdd": qdd[0]}, np.array(Y), theta
 
 
-def base_parameters_agree(robot: Mechanism, Y: np.ndarray, theta: np.ndarray) -> None:
+def base_parameters_agree(robot: Mechanism, Y: np.ndarray, theta: np.ndarray, bound: float = 1e-10) -> None:
     """The rank is that of Pinocchio's regressor, and the combinations give its forces."""
     W, base = Y.reshape(-1, len(theta)), mechanics.base_parameters(robot, drives=[])
     assert base.rank == np.linalg.matrix_rank(W, tol=1e-9 * np.linalg.norm(W, 2))
-    near(W[:, list(base.columns)] @ (base.combinations @ theta), W @ theta, 1e-10)
+    near(W[:, list(base.columns)] @ (base.combinations @ theta), W @ theta, bound)
 
 
 @pytest.mark.parametrize("make", [free_tree, mimicking_tree])
