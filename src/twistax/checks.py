@@ -146,6 +146,14 @@ def whole(place: str, value: Any, least: int = 1, error: type[Exception] = Input
     return int(value)
 
 
+def name_list(place: str, value: Any, error: type[Exception] = InputError) -> tuple[str, ...]:
+    """Names, or one, as a tuple, each once. Raises the error for something else."""
+    names = [value] if isinstance(value, str) else list(value) if isinstance(value, Iterable) else [None]
+    if not all(isinstance(name, str) for name in names):
+        raise error(f"{place} expects names, got {short(value)}")
+    return tuple(dict.fromkeys(names))
+
+
 def callable_with(place: str, function: Any, arguments: Sequence[str], error: type[Exception]) -> None:
     """Raise the error unless the value can be called with so many arguments."""
     wanted = f"{place} expects a function of ({', '.join(arguments)})"

@@ -37,6 +37,7 @@ def test_more_times_reach_further() -> None:
     [
         ({"save_at": [0.5], "t0": 1.0}, "save_at has the time 0.5, before the start t0 = 1"),
         ({"save_at": [np.inf]}, "save_at expects finite times"),
+        ({"records": {"y": ([1.5, 2.5], [0.0, np.inf])}}, "finite values, or NaN where one is missing"),
     ],
 )
 def test_times_that_cannot_be_are_refused(options: dict[str, Any], message: str) -> None:
@@ -57,3 +58,8 @@ def test_noise_without_density_is_no_covariance() -> None:
     silent = tx.Measurement("y", x + tx.Noise("n", density=0.0), period=0.1)
     with pytest.raises(tx.EstimationError, match="not positive definite"):
         ErrorStateKalman(INTEGRATOR, [silent]).run({"y": ([2.0], [0.0])}, {"x": 0.0}, 1.0, u={"u": 0.0})
+
+
+def test_no_measurements_are_refused(unchecked: None) -> None:
+    with pytest.raises(tx.ModelError, match="a filter expects measurements"):
+        ErrorStateKalman(INTEGRATOR, None)  # type: ignore[arg-type]

@@ -27,7 +27,32 @@ def both_sides(mechanism: Mechanism) -> dict[str, tx.Expr]:
 
 @pytest.mark.parametrize("path", [EXAMPLES / "panda.urdf", EXAMPLES / "arm.urdf"], ids=lambda path: path.stem)
 def test_as_pinocchio_has_it(path: Path) -> None:
-    pin = pytest.importorskip("pinocchio", reason="pinocchio is not installed (extra twistax[peers])")
+    pytest.importorskip("pinocchio", reason="pinocchio is not installed (extra twistax[peers])")
+    robot, state, Y, theta = of_pinocchio(path)
+    values = evaluated(both_sides(robot), state)
+    near(values["Y"], Y[0])
+    near(values["theta"], theta)
+    base_parameters_agree(robot, Y, theta)
+
+
+@pytest.mark.slow
+def test_base_parameters_of_public_robots() -> None:
+    """Those of example-robot-data with at most twelve freedoms, 22 and more."""
+    pytest.importorskip("pinocchio", reason="pinocchio is not installed (extra twistax[peers])")
+    from test_models_pinocchio import BROKEN, ROBOTS
+
+    count = 0
+    for path in sorted(ROBOTS.rglob("*.urdf")):
+        if path.name not in BROKEN and 0 < mechanics.load(path, physical=False, quarter_turns=0.0).dofs <= 12:
+            robot, _, Y, theta = of_pinocchio(path)
+            base_parameters_agree(robot, Y, theta, 1e-7)  # as coefficients that count as zero
+            count += 1
+    assert count >= 22 or not ROBOTS.is_dir()
+
+
+def of_pinocchio(path: Path) -> tuple[Mechanism, dict[str, Any], np.ndarray, np.ndarray]:
+    """A mechanism, a state, and Pinocchio's regressors (count, n, p) and parameters; the first is at that state."""
+    import pinocchio as pin
     from test_models_pinocchio import Pair
 
     pair, rng, count = Pair(path, False), np.random.default_rng(0), 60
@@ -37,13 +62,15 @@ def test_as_pinocchio_has_it(path: Path) -> None:
     order = np.concatenate([10 * (pair.joint(name).id - 1) + np.arange(10) for name in robot.joints])
     pairs = zip(theirs, qd, qdd, strict=True)
     Y = [G.T @ pin.computeJointTorqueRegressor(model, data, q, G @ v, G @ a)[:, order] for q, v, a in pairs]
-    values = evaluated(both_sides(robot), {**{k: x[0] for k, x in ours.items()}, "qd": qd[0], "qdd": qdd[0]})
-    near(values["Y"], Y[0])
     theta = np.concatenate([inertia.toDynamicParameters() for inertia in list(model.inertias)[1:]])[order]
-    near(values["theta"], theta)
-    W, base = np.concatenate(Y), mechanics.base_parameters(robot)
+    return robot, {**{k: x[0] for k, x in ours.items()}, "qd": qd[0], "qdd": qdd[0]}, np.array(Y), theta
+
+
+def base_parameters_agree(robot: Mechanism, Y: np.ndarray, theta: np.ndarray, bound: float = 1e-10) -> None:
+    """The rank is that of Pinocchio's regressor, and the combinations give its forces."""
+    W, base = Y.reshape(-1, len(theta)), mechanics.base_parameters(robot, drives=[])
     assert base.rank == np.linalg.matrix_rank(W, tol=1e-9 * np.linalg.norm(W, 2))
-    near(W[:, list(base.columns)] @ (base.combinations @ theta), W @ theta, 1e-10)
+    near(W[:, list(base.columns)] @ (base.combinations @ theta), W @ theta, bound)
 
 
 @pytest.mark.parametrize("make", [free_tree, mimicking_tree])

@@ -102,6 +102,16 @@ W = np.array([[1.0, 2.0, 0.0], [2.0, 4.0, 0.0]])
 combinations = tx.mechanics.identifiable_combinations(W, ["a", "b", "c"])
 combinations.names, combinations.without_effect
 
+# tx.mechanics.identify tx.mechanics.Identification tx.mechanics.IdentificationStatus
+from twistax.mechanics import Link, Mechanism, SpatialInertia, joints
+
+rod = SpatialInertia(mass=1.0, center_of_mass=[0.5, 0.0, 0.0], inertia=0.1 * np.eye(3))
+pendulum = Mechanism([Link(joints.Revolute("hinge", [0.0, 1.0, 0.0]), rod, np.eye(4))])
+q, qd, qdd = np.random.default_rng(0).normal(size=(3, 50, 1))
+tau = 0.35 * qdd - 4.9 * np.cos(q)
+result = tx.mechanics.identify(pendulum, {"q": q, "qd": qd, "qdd": qdd, "tau": tau}, noise=0.01)
+result.status, result.names, result.estimate("hinge.Iyy")
+
 # tx.mechanics.physical_inertia tx.mechanics.log_cholesky
 from twistax.mechanics import SpatialInertia
 

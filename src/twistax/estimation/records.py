@@ -75,6 +75,8 @@ def timeline_of(
             raise ShapeError(
                 f"records[{name!r}] expects values of shape {(times[name].size, *group.shape)}, got {array.shape}"
             )
+        if not is_traced(array) and np.isinf(np.asarray(array)).any():
+            raise InputError(f"records[{name!r}] expects finite values, or NaN where one is missing, got infinite ones")
         order = np.argsort(times[name])
         rows[name] = np.searchsorted(ts, times[name][order])
         sorted_values = jnp.asarray(array[order], dtype)

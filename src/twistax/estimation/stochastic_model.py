@@ -192,6 +192,8 @@ class StochasticModel:
 
 
 def _by_name(measurements: Iterable[Measurement]) -> dict[str, Measurement]:
+    if not isinstance(measurements, (Measurement, Iterable)):
+        raise ModelError(f"a filter expects measurements, tx.Measurement(...), got {measurements!r}")
     listed_measurements = [measurements] if isinstance(measurements, Measurement) else list(measurements)
     by_name: dict[str, Measurement] = {}
     for measurement in listed_measurements:

@@ -29,6 +29,8 @@ from .distances.signed_distance import signed_distance
 from .distances.solids import HalfSpace
 from .drives import Drive
 from .identification.base_parameters import BaseParameters, base_parameters, identifiable_combinations
+from .identification.identification import Identification, IdentificationStatus
+from .identification.identify import identify
 from .identification.physical_inertia import log_cholesky, physical_inertia
 from .identification.regressor import Regressor, inverse_dynamics_regressor
 from .mechanism import Chain, Mechanism
@@ -39,13 +41,14 @@ from .tree import Link, Mimic
 # fmt: off
 __all__ = [
     "ALIGNED", "BODY", "WORLD", "BaseParameters", "Bristles", "Chain", "DaveModel", "Drive", "GivenForces", "Ground",
-    "HalfSpace", "Link", "Mechanism", "Mimic", "ReachResult", "ReachStatus", "Regressor", "SpatialInertia", "aba",
-    "base_parameters", "bias_forces", "center_of_mass", "centroidal_matrix", "centroidal_momentum", "chain_models",
-    "closed_dynamics", "coriolis_forces", "environment", "flight", "forward_dynamics", "forward_dynamics_derivatives",
-    "frame_jacobian", "frame_jacobian_rate", "frame_twist", "given_forces", "gravity_forces",
-    "identifiable_combinations", "inverse_dynamics", "inverse_dynamics_derivatives", "inverse_dynamics_regressor",
-    "joint_wrench", "joints", "kinetic_energy", "load", "load_daveml", "log_cholesky", "loop_diagnostics", "loop_gap",
-    "loop_wrench", "loop_wrenches", "loops", "mass_matrix", "physical_inertia", "potential_energy", "power", "reach",
-    "rnea", "signed_distance", "spatial_momentum", "total_mass",
+    "HalfSpace", "Identification", "IdentificationStatus", "Link", "Mechanism", "Mimic", "ReachResult", "ReachStatus",
+    "Regressor", "SpatialInertia", "aba", "base_parameters", "bias_forces", "center_of_mass", "centroidal_matrix",
+    "centroidal_momentum", "chain_models", "closed_dynamics", "coriolis_forces", "environment", "flight",
+    "forward_dynamics", "forward_dynamics_derivatives", "frame_jacobian", "frame_jacobian_rate", "frame_twist",
+    "given_forces", "gravity_forces", "identifiable_combinations", "identify", "inverse_dynamics",
+    "inverse_dynamics_derivatives", "inverse_dynamics_regressor", "joint_wrench", "joints", "kinetic_energy", "load",
+    "load_daveml", "log_cholesky", "loop_diagnostics", "loop_gap", "loop_wrench", "loop_wrenches", "loops",
+    "mass_matrix", "physical_inertia", "potential_energy", "power", "reach", "rnea", "signed_distance",
+    "spatial_momentum", "total_mass",
 ]
 # fmt: on

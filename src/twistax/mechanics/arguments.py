@@ -9,7 +9,7 @@ import numpy as np
 
 from ..checks import listed, short
 from ..errors import ModelError, ShapeError
-from ..expr import Expr, to_expr
+from ..expr import Constant, Expr, to_expr
 from ..expr.fields import ExprLike
 from ..expr.lie.base import check_element
 from ..expr.transformations.rate import changing
@@ -40,6 +40,13 @@ def of_shape(
     if expr.shape != shape:
         raise ShapeError(f"{owner} expects {name} with shape {shape}, got {expr.shape}", hint=hint)
     return expr
+
+
+def finite(owner: str, name: str, value: Expr) -> Expr:
+    """The argument itself. Raises ModelError for numbers that are not finite."""
+    if isinstance(value, Constant) and not np.isfinite(value.value).all():
+        raise ModelError(f"{owner} expects {name} to be finite, got {short(value)}")
+    return value
 
 
 def of_kind(owner: str, name: str, value: object, kind: type) -> None:

@@ -168,6 +168,12 @@ class SpatialInertia:
         about_origin = self.inertia + _steiner(self.mass, self.center_of_mass)
         return Block([[self.mass * np.eye(3), -moment], [moment, about_origin]])
 
+    @property
+    def known_matrix(self) -> np.ndarray | None:
+        """M (6, 6) as numbers; None where it depends on something."""
+        (M,) = canonicalize_all([self.matrix])
+        return np.asarray(M.value) if isinstance(M, Constant) else None
+
     def momentum(self, V: ExprLike) -> Expr:
         """$[p; L]$ (6,) of a twist V (6,): $p = m (v + w x c + c')$, $L = I_c w + c x p$; N s, N m s.
 

@@ -87,7 +87,8 @@ class Drive:
         if shape:
             raise ModelError(f"Drive expects {name} to be a scalar, got the shape {shape}")
         if value is not None and not np.isfinite(value):
-            raise ModelError(f"Drive expects {name} to be finite, got {value}")
+            fix = "\n  fix: None where there is no limit" if name in _LIMITS and not np.isnan(value) else ""
+            raise ModelError(f"Drive expects {name} to be finite, got {value}{fix}")
         if value is not None and name in _NOT_NEGATIVE and value < 0.0:
             raise ModelError(f"Drive expects {name} not to be negative, got {value}")
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..checks import listed, short
+from ..checks import listed, name_list, short
 from ..errors import ModelError
 from ..expr import Constant, Control, Expr, State
 from ..expr.fields import ExprLike
@@ -17,7 +17,7 @@ from ..expr.kinds.kinds import Pose, Twist
 from ..expr.kinds.unit import JOULE, SECOND, Unit
 from ..expr.lie import AdjointAction, Compose, Inverse
 from ..expr.operations.arithmetic import is_identity
-from .arguments import of_shape
+from .arguments import finite, of_shape
 from .bodies import SpatialInertia
 from .loops import Loop, Metric, check_loops
 from .screws import element_kind, unit_of
@@ -26,6 +26,8 @@ from .tree import Frame, Link, Segment, segments_of, shapes_of, sorted_links
 if TYPE_CHECKING:
     from ..view import Shape
 
+#: Inertias below this part of all of a body's are rounding.
+_ROUND_OFF = 1e-13
 #: Positions: a vector, or a mapping with a vector "q" and an element for each joint on a group.
 Positions = ExprLike | Mapping[str, ExprLike]
 
@@ -83,6 +85,23 @@ class KinematicTree:
                 )
             if self.segments[i].before >= 0:
                 heavy[self.segments[i].before] |= heavy[i]
+        self._check_tips(owner)
+
+    def _check_tips(self, owner: str) -> None:
+        """Raise ModelError for a joint at a tip whose body has no inertia about its axis."""
+        carrying = {segment.before for segment in self.segments}
+        for i, segment in enumerate(self.segments):
+            H, M = segment.link.joint.motion_subspace, None if segment.body is None else segment.body.known_matrix
+            aided = segment.link.drive.rotor is not None or segment.link.mimic is not None or i in carrying
+            if aided or M is None or not isinstance(H, Constant):
+                continue
+            least = np.linalg.eigvalsh(H.value.T @ M @ H.value).min(initial=np.inf)
+            if least <= _ROUND_OFF * max(np.trace(M[3:, 3:]), np.finfo(float).tiny):
+                raise ModelError(
+                    f"{owner}: the body of {segment.link.name!r} has no inertia about the axis of joint "
+                    f"{segment.link.joint.name!r}, so its acceleration is not determined.\n"
+                    "  fix: give the body a thickness, or the joint an armature"
+                )
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({len(self.links)} links, {self.dofs} freedoms)"
@@ -163,7 +182,7 @@ class KinematicTree:
     def freedoms(self, joints: Collection[str]) -> list[int]:
         """The indices of the velocities of these joints, each index once. Raises ModelError."""
         entries: list[int] = []
-        for name in [joints] if isinstance(joints, str) else joints:
+        for name in name_list("joints", joints, ModelError):
             entries += [i for i in self.segment_of(name).freedoms if i not in entries]
         return entries
 
@@ -180,7 +199,7 @@ class KinematicTree:
     def coordinates(self, owner: str, name: str, value: ExprLike | None) -> Expr:
         """The argument `name` of `owner`, one entry for each freedom (n,); qd itself for None. Raises ShapeError."""
         hint = "one entry for each freedom; of a chain one entry for each link, from base to tip"
-        return self.qd if value is None else of_shape(owner, name, value, (self.dofs,), hint)
+        return self.qd if value is None else finite(owner, name, of_shape(owner, name, value, (self.dofs,), hint))
 
     def positions(self, owner: str, q: Positions | None) -> list[Expr]:
         """The position of the joint of every segment.

@@ -8,7 +8,7 @@ import operator
 from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from ..checks import listed
+from ..checks import listed, short
 from ..errors import ModelError
 from ..expr import Expr, State
 from ..expr.fields import ExprLike
@@ -96,6 +96,8 @@ class Mechanism(KinematicTree):
             raise ModelError(f"Mechanism.replace has no argument {name!r}; it takes: {listed(known, name)}")
         if drives and "links" in changes:  # they go into the new ones
             return self.replace(**changes).replace(drives=drives)
+        if not isinstance(drives, Mapping | None):
+            raise ModelError(f"Mechanism.replace expects drives by the names of joints, got {short(drives)}")
         joints = {link.joint.name: link for link in self.links}
         for name, drive in (drives or {}).items():
             if name not in joints:

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import callable_with, listed
+from ..checks import callable_with, instance, listed
 from ..errors import ModelError
-from ..expr import Concat, Constant, Control, Expr, State
+from ..expr import Concat, Constant, Control, Expr, State, to_expr
 from ..expr.fields import ExprLike
 from ..expr.operations.soft import Asked
 from ..expr.transformations.rate import rates_by_name
@@ -23,6 +23,7 @@ from .algorithms.forward_dynamics import forward_dynamics
 from .algorithms.system_slopes import slopes_of_accelerations
 from .kinematic_tree import KinematicTree
 from .labels import labels_of
+from .tree import Segment
 
 
 def system_of(
@@ -131,6 +132,8 @@ def inverse_system_of(
     qdd = Control("qdd", (mechanism.dofs,))
     places = mechanism.positions("inverse_system", None)
     total = inverse_dynamics(mechanism, qdd=qdd, wrenches=wrenches)
+    if outputs is not None and not callable(outputs):
+        instance("inverse_system: outputs", outputs, Mapping, "expressions by name, or a function", ModelError)
     left = total - Concat(*_passive_forces(mechanism, places))
     if forces is not None:
         left = left - mechanism.coordinates("inverse_system", "forces", forces)
@@ -140,6 +143,12 @@ def inverse_system_of(
     shown: dict[str, ExprLike] = {}
     if driven:
         motors, gears = mechanism.motors(joints), _gears(mechanism)
+        without = [mechanism.joints[i] for i, s in enumerate(mechanism.segments) if _ungeared(s, driven)]
+        if without:
+            raise ModelError(
+                f"inverse_system: motors of {listed(without)} have the gear zero, so no command gives their force.\n"
+                "  fix: controls=[...] without them"
+            )
         command = Concat(*(left[i] / gears[i] for i in driven))
         shown[_COMMAND] = command
         for name, limits, sign in ((_LEAST, motors.min, -1.0), (_MOST, motors.max, 1.0)):
@@ -159,6 +168,13 @@ def inverse_system_of(
     labels["qdd"] = [(name, f"{unit}2" if unit.endswith("/s") else unit) for name, unit in labels["qd"]]
     motion: dict[Any, ExprLike] = {**_kinematics(mechanism, places, mechanism.qd), mechanism.qd: qdd}
     return System(rates=motion, outputs={**shown, **(outputs or {})}, constraints={**rows, **further}, labels=labels)
+
+
+def _ungeared(segment: Segment, driven: list[int]) -> bool:
+    """Whether a motor has the gear zero."""
+    gear = to_expr(segment.link.drive.gear)
+    moved = segment.link.mimic is None and any(i in driven for i in segment.freedoms)
+    return moved and isinstance(gear, Constant) and not np.any(gear.value)
 
 
 def _gears(mechanism: KinematicTree) -> dict[int, ExprLike]:

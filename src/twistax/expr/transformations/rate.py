@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ...checks import short
 from ...errors import ModelError, OperationError, ShapeError
 from ...groups import Group
 from ..fields import ExprLike
@@ -227,6 +228,8 @@ class Rate(Expr):
 def rates_by_name(rates: Mapping[Any, ExprLike]) -> dict[str, Expr]:
     """The rates of states and controls by name. Raises ModelError for something else as a key, or no expression."""
     by_name: dict[str, Expr] = {}
+    if not isinstance(rates, Mapping):
+        raise ModelError(f"rates are expressions by states, controls or their names, got {short(rates)}")
     for key, rate in rates.items():
         name = key if isinstance(key, str) else getattr(key, "name", None)
         if not isinstance(name, str) or not isinstance(key, (str, State, Control)):

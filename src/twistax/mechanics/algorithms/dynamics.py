@@ -17,7 +17,7 @@ from ...expr.fields import ExprLike
 from ...expr.kinds.declare import known_as
 from ...expr.kinds.kinds import Wrench
 from ...expr.lie import CoadjointAction
-from ..arguments import of_shape
+from ..arguments import finite, of_shape
 from ..kinematic_tree import KinematicTree, Positions
 from .inertia_frames import in_frame
 from .motion import ZERO, acceleration_of_base, accelerations, inertia_of, motion
@@ -214,7 +214,8 @@ def outside(owner: str, mechanism: KinematicTree, wrenches: Wrenches | None) -> 
         raise ModelError(f"{owner} expects wrenches as a mapping from names of frames, got {type(wrenches).__name__}")
     for name, value in (wrenches or {}).items():
         at = mechanism.frame(name)
-        F = of_shape(owner, f"the wrench at {name!r}", value, (6,), "[f; tau] in the frame's axes")
+        what = f"the wrench at {name!r}"
+        F = finite(owner, what, of_shape(owner, what, value, (6,), "[f; tau] in the frame's axes"))
         if at.segment >= 0:
             F = CoadjointAction(at.T, known_as(F, Wrench(mechanism.frame_name(name))))
             F, before = known_as(F, Wrench(mechanism.segments[at.segment].link.name)), outer_wrenches[at.segment]

@@ -6,20 +6,16 @@ import dataclasses
 from collections.abc import Collection, Sequence
 from typing import Any
 
-import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from ...checks import number, reals, whole
+from ...checks import name_list, number, reals, whole
 from ...errors import ModelError
-from ...expr import State, leaves_of
 from ...progress import watching
-from ...system.lower import lower
+from ..algorithms.dynamics import checked
 from ..kinematic_tree import KinematicTree
-from .regressor import inverse_dynamics_regressor
-
-#: Coefficients below this are rounding.
-_ZERO = 1e-7
+from .determined import ZERO
+from .stacked_regressor import StackedRegressor
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,6 +56,7 @@ def identifiable_combinations(W: Any, names: Sequence[str], tolerance: float = 1
     Raises: ModelError for something else, or entries that are not finite.
     """
     owner = "identifiable_combinations"
+    names = name_list(f"{owner}: names", names, ModelError)
     matrix = reals(f"{owner}: W", W, ModelError).astype(np.float64)
     if matrix.ndim != 2 or matrix.shape[1] != len(names) or not np.isfinite(matrix).all():
         raise ModelError(
@@ -81,17 +78,17 @@ def identifiable_combinations(W: Any, names: Sequence[str], tolerance: float = 1
         C = np.asarray(np.linalg.lstsq(matrix[:, columns], matrix, rcond=None)[0], dtype=np.float64)
     C[:, lengths <= floor] = 0.0
     C[:, columns] = np.eye(len(columns))
-    C[np.abs(C) < _ZERO] = 0.0
+    C[np.abs(C) < ZERO] = 0.0
     without = tuple(names[int(j)] for j in np.flatnonzero(lengths <= floor))
-    return BaseParameters(tuple(_sum_of(row, names) for row in C), C, tuple(columns), without)
+    return BaseParameters(tuple(sum_of(row, names) for row in C), C, tuple(columns), without)
 
 
-def _sum_of(row: NDArray[np.float64], names: Sequence[str]) -> str:
+def sum_of(row: NDArray[np.float64], names: Sequence[str]) -> str:
     """A combination as text."""
     words = list[str]()
     for coefficient, name in zip(row, names, strict=True):
         if coefficient:
-            size = "" if abs(abs(coefficient) - 1.0) < _ZERO else f"{abs(coefficient):.4g} "
+            size = "" if abs(abs(coefficient) - 1.0) < ZERO else f"{abs(coefficient):.4g} "
             sign = ("-" if coefficient < 0.0 else "") if not words else (" - " if coefficient < 0.0 else " + ")
             words.append(f"{sign}{size}{name}")
     return "".join(words)
@@ -118,31 +115,11 @@ def base_parameters(
     Example:
         `base_parameters(tx.mechanics.chain_models.panda()).rank` is 43.
     """
-    n, qdd = mechanism.dofs, State("qdd of the regressor", (mechanism.dofs,))
-    regressor = inverse_dynamics_regressor(mechanism, qdd=qdd, drives=drives)
     whole("base_parameters: seed", seed, 0, ModelError)
-    enough = -(-3 * len(regressor.names) // n)
-    count = enough if samples is None else whole("base_parameters: samples", samples, 1, ModelError)
-    rng = np.random.default_rng(seed)
-    states = [leaf for leaf in leaves_of(regressor.matrix) if isinstance(leaf, State)]
-    values = {state.name: _random(state, rng, count) for state in states}
-    with jax.enable_x64(True):
-        function = lower(regressor.matrix)
-        stacked = jax.jit(jax.vmap(lambda x: function(0.0, x)))(values)
-        W = np.asarray(stacked, dtype=np.float64).reshape(-1, len(regressor.names))
-    return identifiable_combinations(W, regressor.names)
-
-
-def _random(state: State, rng: np.random.Generator, count: int) -> NDArray[np.float64]:
-    """Elements of SO(3) and SE(3) by random unit quaternions, other entries between -pi and pi."""
-    if state.group.flat:
-        return rng.uniform(-np.pi, np.pi, size=(count, *state.shape))
-    w, x, y, z = (q := rng.normal(size=(4, count))) / np.linalg.norm(q, axis=0)
-    v, size = np.stack([x, y, z]), state.shape[0]
-    T = np.tile(np.eye(size), (count, 1, 1))
-    cross = np.stack([[0.0 * x, -z, y], [z, 0.0 * x, -x], [-y, x, 0.0 * x]])
-    R = (w * w - np.sum(v * v, axis=0)) * np.eye(3)[:, :, None] + 2.0 * v[:, None] * v[None] + 2.0 * w * cross
-    T[:, :3, :3] = np.moveaxis(R, 2, 0)
-    if size == 4:
-        T[:, :3, 3] = rng.normal(size=(count, 3))
-    return T
+    checked("base_parameters", mechanism)
+    if not mechanism.dofs:
+        raise ModelError("base_parameters expects a mechanism with a joint that moves, got none")
+    kinds = None if drives is None else name_list("base_parameters: drives", drives, ModelError)
+    stacked = StackedRegressor.of(mechanism, kinds)
+    count = None if samples is None else whole("base_parameters: samples", samples, 1, ModelError)
+    return identifiable_combinations(stacked.random_matrix({}, count, seed), stacked.names)

@@ -40,9 +40,11 @@ def physical_inertia(parameters: ExprLike) -> SpatialInertia:
 
     Args:
         parameters: (10,), any numbers.
-    Raises: ShapeError if they are not of shape (10,).
+    Raises: ShapeError if they are not of shape (10,); ModelError for numbers that are not finite.
     """
     x = of_shape("physical_inertia", "parameters", parameters, (10,))
+    if isinstance(x, Constant) and not np.isfinite(x.value).all():
+        raise ModelError(f"physical_inertia expects finite parameters, got {short(parameters)}")
     mass = Exp(2.0 * x[0])
     S = Stack(Concat(Exp(x[1]), x[4], x[6]), Concat(_ZERO, Exp(x[2]), x[5]), Concat(_ZERO, _ZERO, Exp(x[3])))
     second: Expr = mass * (S @ S.T)

@@ -16,7 +16,7 @@ from collections.abc import Collection
 
 import numpy as np
 
-from ...checks import listed
+from ...checks import listed, name_list
 from ...errors import ModelError
 from ...expr import Block, Concat, Constant, Dot, Expr, Stack, Tanh, to_expr
 from ...expr.fields import ExprLike
@@ -97,6 +97,31 @@ def inverse_dynamics_regressor(
     return Regressor(Block([blocks]), Concat(*theta), tuple(names))
 
 
+def forces_of_parameters(mechanism: KinematicTree, theta: Expr, drives: Collection[str] | None, qdd: Expr) -> Expr:
+    """The joint forces (n,) of parameters theta (p,), Y theta, by one recursion: Y itself is not built.
+
+    Args:
+        theta: in the order of `inverse_dynamics_regressor`, with `drives` as there.
+        qdd: accelerations (n,); positions and velocities are the states of the mechanism.
+    """
+    owner = "inverse_dynamics_regressor"
+    moving = motion(mechanism, mechanism.positions(owner, None), mechanism.qd)
+    B = accelerations(mechanism, moving, qdd, acceleration_of_base(mechanism.gravity))
+    count = len(BODY)
+    F = [_wrenches(m.w, B[i]) @ theta[count * i : count * (i + 1)] for i, m in enumerate(moving)]
+    forces: list[Expr] = [Constant(0.0)] * mechanism.dofs
+    for i in reversed(range(len(F))):
+        segment = mechanism.segments[i]
+        for k, row in enumerate(segment.freedoms):
+            forces[row] = forces[row] + segment.scaled(Dot(segment.link.joint.motion_subspace[:, k], F[i]))
+        if segment.before >= 0:
+            F[segment.before] = F[segment.before] + CoadjointAction(moving[i].T, F[i])
+    tau: Expr = Concat(*forces)
+    for k, (segment, kind) in enumerate(_of_drives(owner, mechanism, drives), count * len(F)):
+        tau = tau + _drive_column(mechanism, segment, kind, mechanism.qd, qdd)[:, 0] * theta[k]
+    return tau
+
+
 def _wrenches(w: Expr, B: Expr) -> Expr:
     """The wrench (6, 10) of a segment by its parameters, in its frame."""
     b, a = linear(B), angular(B)
@@ -149,7 +174,7 @@ def _of_drives(owner: str, mechanism: KinematicTree, drives: Collection[str] | N
     moving = [segment for segment in mechanism.segments if segment.freedoms]
     if drives is None:
         return [(segment, "armature") for segment in moving if segment.link.drive.rotor is not None]
-    kinds = (drives,) if isinstance(drives, str) else tuple(drives)
+    kinds = name_list("inverse_dynamics_regressor: drives", drives, ModelError)
     for kind in kinds:
         if kind not in DRIVE:
             raise ModelError(f"{owner} expects drives among {listed(DRIVE, kind)}, got {kind!r}")

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...checks import listed, number, short, whole
+from ...checks import listed, number, real_array, short, whole
 from ...errors import InputError
 from ...jax_inside import is_traced
 from ...progress import watching
@@ -78,7 +78,10 @@ class ReachResult:
 
     def stopped_by(self, *index: SupportsIndex) -> tuple[str, ...]:
         """The joints whose limits stop the best seed of one target."""
-        return tuple(dict.fromkeys(self.joints[i] for i in np.flatnonzero(np.asarray(self.at_limit[index]))))
+        stopped = np.asarray(self.at_limit)
+        if len(index) != stopped.ndim - 1 or any(not -n <= i < n for i, n in zip(index, stopped.shape, strict=False)):
+            raise InputError(f"stopped_by expects an index into {stopped.shape[:-1]}, got {index}")
+        return tuple(dict.fromkeys(self.joints[i] for i in np.flatnonzero(stopped[index])))
 
 
 @watching("reach")
@@ -150,8 +153,10 @@ def _targets(mechanism: KinematicTree, targets: Mapping[str, Any]) -> tuple[Arra
     arrays, leading = Arrays(), dict[str, tuple[int, ...]]()
     for frame, value in targets.items():
         mechanism.frame(frame)
+        real_array(f"reach: the target of {frame!r}", value)  # refuses what is no real number
         T = jnp.asarray(value)
-        T = T if jnp.issubdtype(T.dtype, jnp.floating) else T.astype(float)
+        if not jnp.issubdtype(T.dtype, jnp.floating) or T.dtype.itemsize < 4:
+            T = T.astype(np.float32 if jnp.issubdtype(T.dtype, jnp.floating) else float)
         size = 2 if T.shape[-2:] == (4, 4) else 1
         if T.shape[-size:] not in ((4, 4), (3,)):
             raise InputError(f"reach expects the target of {frame!r} as (..., 4, 4) or (..., 3), got {T.shape}")
@@ -186,7 +191,10 @@ def _start(tasks: Tasks, start: Mapping[str, Any], leading: tuple[int, ...]) -> 
         raise InputError(f"reach: start expects {listed(tasks.names)}, got {listed(start)}")
     count, arrays = math.prod(leading), Arrays()
     for state in tasks.states:
+        real_array(f"reach: start of {state.name!r}", start[state.name])
         value = jnp.asarray(start[state.name])
+        if not is_traced(value) and not np.isfinite(np.asarray(value)).all():
+            raise InputError(f"reach: start expects finite numbers for {state.name!r}, got {short(value)}")
         if value.shape not in (state.shape, (*leading, *state.shape)):
             either = f"{state.shape} or {(*leading, *state.shape)}"
             raise InputError(f"reach: start expects {state.name!r} with shape {either}, got {value.shape}")

@@ -16,6 +16,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
+from ...checks import instance
 from ...errors import ModelError
 from ...system import free_name
 from ...view import Box, Capsule, Cylinder, Ellipsoid, Shape, Sphere
@@ -37,6 +38,7 @@ class MjcfText:
     def __init__(self, mechanism: KinematicTree, name: str, leave_out: Collection[str]) -> None:
         self._mechanism, self._losses = mechanism, Losses("to_mjcf", "MJCF", leave_out)
         self._children = children_of(mechanism)
+        instance("to_mjcf: name", name, str, "text", ModelError)
         root = ElementTree.Element("mujoco", model=name)
         child(root, "compiler", angle="radian", inertiafromgeom="false")
         child(root, "option", gravity=text(self._losses.value("gravity", mechanism.gravity)))

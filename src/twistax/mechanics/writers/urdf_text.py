@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
+from ...checks import instance
 from ...errors import ModelError
 from ...expr.fields import ExprLike
 from ...view import Box, Capsule, Cylinder, Mesh, Shape, Sphere
@@ -37,6 +38,7 @@ _TYPES: dict[type[Joint], str] = {
 def urdf_text(mechanism: KinematicTree, name: str, leave_out: Collection[str]) -> str:
     """Implements `Mechanism.to_urdf`."""
     losses = Losses("to_urdf", "URDF", leave_out)
+    instance("to_urdf: name", name, str, "text", ModelError)
     robot = ElementTree.Element("robot", name=name)
     if not np.array_equal(losses.value("gravity", mechanism.gravity), _GRAVITY):
         losses.add("gravity", "the mechanism")

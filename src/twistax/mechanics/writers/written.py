@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from ...checks import listed, short
+from ...checks import listed, name_list, short
 from ...errors import ModelError
 from ...expr import Constant, Expr, Parameter, canonicalize_all, to_expr
 from ...expr.fields import ExprLike
@@ -40,7 +40,7 @@ class Losses:
 
     def __init__(self, owner: str, language: str, leave_out: Collection[str]) -> None:
         self.owner, self.language = owner, language
-        self._allowed = {leave_out} if isinstance(leave_out, str) else set(leave_out)
+        self._allowed = set(name_list(f"{owner}: leave_out", leave_out, ModelError))
         self._places = collections.defaultdict[str, list[str]](list)
         for name in sorted(self._allowed - set(_KINDS)):
             raise ModelError(f"{owner} has nothing {name!r} to leave out; such are {listed(_KINDS, name)}")

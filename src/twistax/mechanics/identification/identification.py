@@ -1,0 +1,160 @@
+"""The result of `identify`: what the data determine, to which accuracy, and what they do not."""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...checks import listed, number, short
+from ...errors import InputError
+from ..mechanism import Mechanism
+from .base_parameters import sum_of
+
+Array = NDArray[np.float64]
+#: Probability at which residuals or a physical fit count as no noise.
+_UNLIKELY = 1e-4
+#: Residuals below this part of the noise are rounding, and have no correlation that says something.
+_SMALL = 0.1
+#: How far, relative to its coefficients, a combination may be from what is determined.
+_EQUAL = 1e-6
+
+
+class IdentificationStatus(enum.Enum):
+    """What became of an identification. The first of these that holds, from below:
+
+    - `IDENTIFIED`: the data determine all base parameters, and the residuals are like the noise.
+    - `UNDETERMINED`: the same, but the data leave base parameters open; `undetermined` names them.
+    - `UNPHYSICAL`: physical bodies and drives fit worse than noise explains.
+    - `MISFIT`: residuals are larger than the noise, or correlated in time: the model lacks something, and the
+      covariance is too small.
+    - `UNFINISHED`: the physical fit ended before a minimum.
+    """
+
+    IDENTIFIED = "identified"
+    UNDETERMINED = "undetermined"
+    UNPHYSICAL = "unphysical"
+    MISFIT = "misfit"
+    UNFINISHED = "unfinished"
+
+
+@dataclasses.dataclass(frozen=True)
+class Identification:
+    """Estimated combinations of parameters, $beta = C theta$, with their covariance. Made by `identify`.
+
+    Attributes:
+        status: see `IdentificationStatus`.
+        names: of the combinations that the data determine, such as "link1.Izz + link2.Iyy".
+        values: (r,), in the unit of the first parameter of each.
+        covariance: (r, r): the Cramer-Rao bound of the linear problem.
+        combinations: C (r, p).
+        parameters: names of the p unknown parameters.
+        undetermined: base parameters that the data leave open: the combinations above hold for any values of these.
+        without_effect: parameters that no joint force depends on.
+        noise: (n,), the standard deviation of the forces, N or N m.
+        residuals: (samples, n), N or N m: measured less fitted forces.
+        misfit: the mean square of residuals in units of the noise, by degrees of freedom: 1 for a complete model.
+        correlation: (n,), of residuals with those of the sample before; 0 for white noise.
+        excess: how much the sum of squares of the physical fit exceeds that of the linear one, in units of the noise;
+            None without a physical fit.
+        mechanism: the mechanism with fitted bodies and drives; None without a physical fit.
+    """
+
+    status: IdentificationStatus
+    names: tuple[str, ...]
+    values: Array
+    covariance: Array
+    combinations: Array
+    parameters: tuple[str, ...]
+    undetermined: tuple[str, ...]
+    without_effect: tuple[str, ...]
+    noise: Array
+    residuals: Array
+    misfit: float
+    correlation: Array
+    excess: float | None = None
+    mechanism: Mechanism | None = None
+
+    @property
+    def standard_deviations(self) -> Array:
+        """Of the values, (r,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def estimate(self, combination: str | Mapping[str, float]) -> tuple[float, float]:
+        """The value of a parameter, or of a sum of parameters, and its standard deviation, in its unit.
+
+        Args:
+            combination: the name of a parameter or of a combination, or coefficients by parameter, such as
+                {"link1.Izz": 1.0, "link2.Iyy": 1.0}.
+        Raises: InputError for an unknown name, and for what the data do not determine.
+        """
+        wanted = np.zeros(len(self.parameters))
+        if isinstance(combination, str) and combination in self.names:
+            k = self.names.index(combination)
+            return float(self.values[k]), float(self.standard_deviations[k])
+        parts = {combination: 1.0} if isinstance(combination, str) else combination
+        if not isinstance(parts, Mapping) or not parts:
+            raise InputError(f"estimate expects a name, or coefficients by name, got {short(combination)}")
+        for name, coefficient in parts.items():
+            if name not in self.parameters:
+                raise InputError(f"estimate: there is no parameter {name!r}; there are {listed(self.parameters, name)}")
+            number(f"estimate: the coefficient of {name!r}", coefficient)
+            wanted[self.parameters.index(name)] = coefficient
+        C = self.combinations
+        length = np.linalg.norm(C, axis=0)
+        size = np.where(length > 0.0, 1.0 / np.where(length > 0.0, length, 1.0), 1.0)
+        weights = np.linalg.lstsq((C * size).T, wanted * size, rcond=None)[0]
+        if np.abs(weights @ C - wanted).max() > _EQUAL * np.abs(wanted).max():
+            among = [name for name, row in zip(self.names, C, strict=True) if np.any(row[wanted != 0.0])]
+            raise InputError(
+                f"estimate: the data do not determine {_sum(parts)}. They determine it within {listed(among)}"
+            )
+        return float(weights @ self.values), float(np.sqrt(weights @ self.covariance @ weights))
+
+    def __str__(self) -> str:
+        lines = [f"{self.status.name}: {len(self.names)} combinations determined, misfit {self.misfit:.3g}"]
+        width = max((len(name) for name in self.names), default=0)
+        for name, value, deviation in zip(self.names, self.values, self.standard_deviations, strict=True):
+            lines.append(f"  {name:<{width}}  {value: .5g} +- {deviation:.2g}")
+        for title, names in (("not determined", self.undetermined), ("without effect", self.without_effect)):
+            if names:
+                lines.append(f"  {title}: {', '.join(names)}")
+        return "\n".join(lines)
+
+
+def _sum(parts: Mapping[str, float]) -> str:
+    return sum_of(np.array(list(parts.values()), dtype=np.float64), list(parts))
+
+
+def correlation(residuals: Array, noise: Array) -> Array:
+    """The correlation (n,) of residuals (samples, n) with those of the sample before; zero for rounding."""
+    power = np.sum(residuals**2, axis=0)
+    small = power <= len(residuals) * (_SMALL * noise) ** 2
+    return np.where(small, 0.0, np.sum(residuals[1:] * residuals[:-1], axis=0) / np.where(small, 1.0, power))
+
+
+def status_of(
+    misfit: float, freedom: int, serial: Array, count: int, excess: float | None, rank: int, finished: bool, left: int
+) -> IdentificationStatus:
+    """The word for a result.
+
+    Args:
+        misfit, freedom: the mean square of residuals in units of the noise, and its degrees of freedom.
+        serial, count: correlations from sample to sample, and how many samples there are.
+        excess, rank: of the physical fit, and the number of combinations.
+        finished: whether that fit ended at a minimum.
+        left: how many base parameters are left open.
+    """
+    from scipy.stats import chi2, norm
+
+    white = np.abs(serial) * np.sqrt(count) <= norm.isf(0.5 * _UNLIKELY / len(serial)) + rank / np.sqrt(count)
+    if not finished:
+        return IdentificationStatus.UNFINISHED
+    if freedom > 0 and (misfit * freedom > chi2.isf(_UNLIKELY, freedom) or not white.all()):
+        return IdentificationStatus.MISFIT
+    if excess is not None and excess > chi2.isf(_UNLIKELY, max(rank, 1)):
+        return IdentificationStatus.UNPHYSICAL
+    return IdentificationStatus.UNDETERMINED if left else IdentificationStatus.IDENTIFIED

@@ -1,0 +1,86 @@
+"""Bad input of what edits, writes, reaches and identifies: an error that names it, in words of this package."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import twistax as tx
+from twistax import mechanics
+from twistax.errors import InputError, ModelError
+from twistax.mechanics import Drive, Link, SpatialInertia, identify, joints, reach
+
+BODY = SpatialInertia(mass=1.0, center_of_mass=(0.1, 0.0, 0.2), inertia=0.1 * np.eye(3))
+ARM = mechanics.Chain(
+    [Link(joints.Revolute(n, (0.0, 1.0, 0.0)), BODY, tx.pose(position=[0.0, 0.0, 0.3])) for n in ("a", "b")]
+)
+POINT = SpatialInertia(mass=1.0, center_of_mass=(0.0, 0.3, 0.0), inertia=np.zeros((3, 3)))
+TARGET = np.array([0.1, 0.0, 0.5])
+
+
+def records(**changes: Any) -> dict[str, Any]:
+    rng = np.random.default_rng(0)
+    return {name: rng.normal(size=(9, 2)) for name in ("q", "qd", "qdd", "tau")} | changes
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "match"),
+    [
+        (lambda: ARM.replace(drives=[Drive()]), ModelError, "drives by the names of joints"),
+        (lambda: ARM.to_urdf(None), ModelError, "to_urdf: name expects text"),
+        (lambda: ARM.to_mjcf(3), ModelError, "to_mjcf: name expects text"),
+        (lambda: ARM.to_urdf(leave_out=None), ModelError, "leave_out expects names"),
+        (lambda: Drive(upper=np.inf), ModelError, "None where there is no limit"),
+        (lambda: ARM.system(controls=3), ModelError, "joints expects names"),
+        (lambda: ARM.system(rates=[1]), ModelError, "rates are expressions by states"),
+        (lambda: ARM.system(forces=[np.nan, 0.0]), ModelError, "forces to be finite"),
+        (lambda: ARM.system(wrenches={"b": np.full(6, np.inf)}), ModelError, "wrench at 'b' to be finite"),
+        (lambda: ARM.inverse_system(outputs=[1]), ModelError, "outputs expects expressions by name"),
+        (
+            lambda: ARM.replace(drives={"a": Drive(gear=0.0)}).inverse_system(),
+            ModelError,
+            "motors of 'a' have the gear zero",
+        ),
+        (lambda: ARM.with_inertia({"b": POINT}).system(), ModelError, "no inertia about the axis of joint 'b'"),
+        (lambda: reach(ARM, {"b": "far"}), InputError, "real numbers"),
+        (lambda: reach(ARM, {"b": None}), InputError, "real numbers"),
+        (lambda: reach(ARM, {"b": [[1.0, 2.0], [3.0]]}), InputError, "real numbers"),
+        (lambda: reach(ARM, {"b": 1j * TARGET}), InputError, "real numbers"),
+        (lambda: reach(ARM, {"b": TARGET}, start={"q": "ab"}), InputError, "real numbers"),
+        (lambda: reach(ARM, {"b": TARGET}, start={"q": [0.0, np.nan]}), InputError, "finite numbers for 'q'"),
+        (lambda: mechanics.base_parameters(ARM, drives=3), ModelError, "drives expects names"),
+        (lambda: mechanics.identifiable_combinations(np.eye(1), None), ModelError, "names expects names"),
+        (lambda: mechanics.physical_inertia(np.full(10, np.nan)), ModelError, "finite parameters"),
+        (lambda: identify(ARM, records(), links=3), ModelError, "links expects names"),
+        (lambda: identify(ARM, records(), drives=None), ModelError, "drives expects names"),
+        (lambda: identify(ARM, records(), params=[1]), InputError, "params"),
+        (lambda: identify(ARM, records(), params={"m": 1.0}), InputError, "params"),
+        (lambda: identify(ARM, records(tau=np.full((9, 2), 1e200))), InputError, "below 1e"),
+        (lambda: identify(ARM, records(), noise=1e-300), InputError, "noise"),
+    ],
+)
+def test_it_is_refused(call: Any, error: type[Exception], match: str, unchecked: None) -> None:
+    with pytest.raises(error, match=match):
+        call()
+
+
+def test_half_precision_targets_and_indices_of_results(unchecked: None) -> None:
+    result = reach(ARM, {"b": TARGET.astype(np.float16)}, seeds=1)
+    assert result.x["q"].dtype == np.float32
+    with pytest.raises(InputError, match=r"index into \(\), got \(3,\)"):
+        result.stopped_by(3)
+
+
+def test_a_name_twice_is_one() -> None:
+    assert mechanics.base_parameters(ARM, drives=["damping", "damping"]).names[-2:] == ("a.damping", "b.damping")
+
+
+def test_known_bodies_with_parameters() -> None:
+    body = SpatialInertia(mass=tx.Parameter("m"), inertia=np.eye(3))
+    arm = ARM.with_inertia({"b": body})
+    tau = tx.lower(mechanics.inverse_dynamics(arm, qdd=tx.State("qdd", (2,))))
+    data = records()
+    exact = [tau(0.0, {n: data[n][k] for n in ("q", "qd", "qdd")}, params={"m": 2.0}) for k in range(9)]
+    data["tau"] = np.array(exact)
+    result = identify(arm, data, links=["a"], noise=1e-3, params={"m": 2.0})
+    assert result.estimate("a.mx")[0] == pytest.approx(0.1)
