@@ -58,7 +58,7 @@ def header() -> str:
 def amalgamation() -> str:
     """All of the core as one C99 file; only the functions of the header have external linkage."""
     parts = ["#define TWX_INTERNAL static\n", header()]
-    inner = ("work.h", "phase.h", "qp_work.h", "ffi.h")
+    inner = ("dense.h", "work.h", "phase.h", "qp_work.h", "ffi.h")
     parts += [_INCLUDE.sub("", _read(name)) for name in inner]
     parts += [_expanded(_read(f"{name}.c"), drop=("core.h", "members.h", "squares.h", *inner)) for name in _FILES]
     return "\n".join(parts)
@@ -70,7 +70,7 @@ _IN_PYTHON = ("options", "members", "handler", "cholesky", "squares", "squares_h
 
 def controller_core() -> str:
     """The part of the core that solves transcribed problems, as one C99 file without external names but `twx_` ones."""
-    inner = ("work.h", "phase.h")
+    inner = ("dense.h", "work.h", "phase.h")
     drop = ("core.h", *inner)
     parts = ["#define TWX_INTERNAL static\n", _expanded(_read("core.h")), _expanded(_read("transcription.h"), drop)]
     parts += [_INCLUDE.sub("", _read(name)) for name in inner]
@@ -80,9 +80,10 @@ def controller_core() -> str:
 
 def squares_core() -> str:
     """The part of the core that solves dense least squares within constraints, as one C99 file."""
-    inner = ("work.h", "qp_work.h")
-    headers = ["core.h", "qp.h", "squares.h"]
-    parts = ["#define TWX_INTERNAL static\n", *(_expanded(_read(name), (*inner, *headers)) for name in headers)]
+    inner = ("dense.h", "qp_work.h")
+    headers = ["qp.h", "squares.h"]
+    # Inline, so that a function which is not called is no warning.
+    parts = ["#define TWX_INTERNAL static inline\n", *(_expanded(_read(name), (*inner, *headers)) for name in headers)]
     parts += [_INCLUDE.sub("", _read(name)) for name in inner]
     kept = [name for name in _FILES if name in ("dense", "cholesky", "squares") or name.startswith("qp")]
     return "\n".join([*parts, *(_expanded(_read(f"{name}.c"), (*inner, *headers)) for name in kept)])

@@ -45,12 +45,24 @@ class LeastSquares:
     """Problems of the same sizes.
 
     Attributes:
+        sizes: variables, rows, equalities, inequalities.
+        shapes: of the arrays of a problem, by their names in squares.h.
         start_size: entries of a start; zeros are none.
+        problem_size: entries of a problem with its start.
     """
 
     def __init__(self, variables: int, rows: int, equalities: int, inequalities: int) -> None:
-        self._n, self._sizes = variables, _Sizes(variables, rows, equalities, inequalities)
-        self.start_size = 3 * variables + 2 * (equalities + inequalities) + 1
+        self.sizes = n, m, e, c = (variables, rows, equalities, inequalities)
+        self._sizes = _Sizes(*self.sizes)
+        self.shapes = {"J": (m, n), "w": (m,), "r": (m,), "damping": (), "A": (e, n), "b": (e,), "C": (c, n)}
+        self.shapes |= {"row_lower": (c,), "row_upper": (c,), "lower": (n,), "upper": (n,)}
+        self.start_size = 3 * n + 2 * (e + c) + 1
+        self.problem_size = sum(map(math.prod, self.shapes.values())) + self.start_size
+
+    @property
+    def workspace_size(self) -> int:
+        """Doubles that the solver needs."""
+        return int(library().squares_workspace(ctypes.addressof(self._sizes)))
 
     def __call__(self, *parts: Any) -> SquaresSolution:
         """J, w, r, damping, A, b, C, row_lower, row_upper, lower, upper and start -> the solution; no derivatives.
@@ -61,7 +73,7 @@ class LeastSquares:
         result = self._solved(problem).astype(problem.dtype)
         at = self.start_size
         status, iterations = (result[at + k].astype(jnp.int32) for k in (0, 2))
-        return SquaresSolution(result[: self._n], result[:at], status, result[at + 1], iterations)
+        return SquaresSolution(result[: self.sizes[0]], result[:at], status, result[at + 1], iterations)
 
     def _solved(self, problem: jax.Array) -> jax.Array:
         sizes = {name: np.int64(getattr(self._sizes, name)) for name, _ in _Sizes._fields_}
@@ -71,8 +83,7 @@ class LeastSquares:
             *batch, size = problems.shape
             with jax.enable_x64(True):
                 flat = jnp.reshape(problems, (math.prod(batch), size)).astype(np.dtype(float))
-                doubles = library().squares_workspace(ctypes.addressof(self._sizes))
-                shapes = [(len(flat), self.start_size + 3), (doubles,)]
+                shapes = [(len(flat), self.start_size + 3), (self.workspace_size,)]
                 results = [jax.ShapeDtypeStruct(shape, np.dtype(float)) for shape in shapes]
                 return jax.ffi.ffi_call(library().targets[2], results)(flat, **sizes)[0].reshape(*batch, -1)
 

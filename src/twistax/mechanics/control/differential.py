@@ -144,7 +144,7 @@ class DifferentialController:
         self.expressions = parts
         self.settings = _Settings(self, dt, speed, acceleration, limit_gain, constraint_gain, regularization)
         n, sizes = mechanism.dofs, (sum(self.tasks.sizes), sum(self.equalities.sizes))
-        self._solver = LeastSquares(n, *sizes, sum(self.constraints.sizes.values()))
+        self.solver = LeastSquares(n, *sizes, sum(self.constraints.sizes.values()))
         self._call = jax.jit(self._step)
 
     def replace(self, **changes: Any) -> DifferentialController:
@@ -182,11 +182,11 @@ class DifferentialController:
             raise InputError(f"DifferentialController expects targets for {listed(missing)}, got {listed(targets)}")
         if set(x) != set(self.space.names):
             raise InputError(f"DifferentialController: x expects {listed(self.space.names)}, got {listed(x)}")
-        limited = self.settings.arguments["acceleration"] is not None
+        limited = self.settings.limits_acceleration
         if limited and qd is None:
             raise InputError("DifferentialController expects qd, the present velocities, for limits of acceleration")
         params = {leaf.name: targets.pop(leaf.name, leaf.value) for leaf in self.parameters}
-        start = np.zeros(self._solver.start_size) if warm is None else warm.start
+        start = np.zeros(self.solver.start_size) if warm is None else warm.start
         step: DifferentialStep = self._call(dict(x), targets, params, qd if limited else None, start, self.settings.arrays)
         return step
 
@@ -249,12 +249,13 @@ class DifferentialController:
 
         entries = varying_entries(flat, *shapes)(*arguments)
         parts, bounds, (e, b), c = jax.tree.unflatten(results[0], entries)
-        solution = self._solver(*parts, cast(start))
+        solution = self.solver(*parts, cast(start))
         solved = solution.status == QPStatus.SOLVED.value
         still = jnp.clip(jnp.zeros_like(bounds.lower), bounds.lower, bounds.upper)
         still = jnp.where(jnp.isfinite(still), still, 0.0)
         velocity = jnp.where(solved, solution.x, still)
-        good = jnp.where(jnp.any(bounds.overrun), int(StepStatus.OVERRUN), int(StepStatus.SOLVED))
+        overrun = bounds.overrun > 0.0
+        good = jnp.where(jnp.any(overrun), int(StepStatus.OVERRUN), int(StepStatus.SOLVED))
         finite = functools.reduce(jnp.logical_and, [jnp.all(~jnp.isnan(p)) for p in parts])
         bad = jnp.where(solution.status == QPStatus.INFEASIBLE.value, int(StepStatus.INFEASIBLE), int(StepStatus.FAILED))
         bad = jnp.where(finite, bad, int(StepStatus.NOT_FINITE))
@@ -264,7 +265,7 @@ class DifferentialController:
             x=self.space.after(x, velocity * numbers["dt"]),
             status=jnp.where(solved, good, bad),
             errors=tuple(errors),
-            overrun=bounds.overrun,
+            overrun=overrun,
             constraints=c,
             start=solution.start,
             iterations=solution.iterations,
@@ -282,6 +283,7 @@ class _Settings:
     Attributes:
         arguments: as they came.
         arrays: by name, for the compiled function.
+        limits_acceleration: whether steps read present velocities.
     """
 
     def __init__(
@@ -322,3 +324,4 @@ class _Settings:
             "regularization": regularization,
         }
         self.arrays = {name: np.asarray(value, float) for name, value in numbers.items()}
+        self.limits_acceleration = acceleration is not None

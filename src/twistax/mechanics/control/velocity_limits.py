@@ -19,7 +19,7 @@ class VelocityBounds(NamedTuple):
 
     Attributes:
         lower, upper: where they exclude each other, the nearest velocity that the acceleration allows.
-        overrun: whether a joint cannot keep its limits of position and speed under its limit of acceleration.
+        overrun: 1 where a joint cannot keep its limits of position and speed under its limit of acceleration, else 0.
     """
 
     lower: jax.Array
@@ -33,8 +33,7 @@ def velocity_bounds(
     """The bounds for a step of dt.
 
     Without a limit of acceleration, a joint moves at most by a share of the distance to its limit. With one, a, it can
-    still stop at its limit, by steps of a dt: the distance is at least $v^2 / 2a + v dt / 2$. A joint beyond its limit
-    goes back, at most at its speed.
+    still stop at its limit by steps of a dt, in whole periods. A joint beyond its limit goes back, at most at its speed.
 
     Args:
         qd: present velocities (n,); None without a limit of acceleration.
@@ -45,20 +44,22 @@ def velocity_bounds(
     above, below = space.margins(x, dtype)
     if qd is None:
         reach = [jnp.clip(share * margin / dt, -speed, speed) for margin in (above, below)]
-        return VelocityBounds(-reach[0], reach[1], jnp.zeros(len(speed), bool))
-    finite = jnp.where(jnp.isfinite(acceleration), acceleration, 1.0)
-    half = 0.5 * finite * dt
+        return VelocityBounds(-reach[0], reach[1], jnp.zeros_like(speed))
+    limited = jnp.isfinite(acceleration)
+    change = jnp.where(limited, acceleration, 1.0) * dt
     bounds = []
     for margin in (above, below):
-        inside = jnp.sqrt(half * half + 2.0 * finite * jnp.maximum(margin, 0.0)) - half
-        stops = jnp.where(jnp.isfinite(acceleration), inside, share * margin / dt)
+        # In k full steps and a part of one: u = v / (a dt) stops within (k + 1) u - k (k + 1) / 2 of a dt2.
+        steps = jnp.maximum(margin, 0.0) / (change * dt)
+        k = jnp.floor(0.5 * (jnp.sqrt(1.0 + 8.0 * steps) - 1.0))
+        stops = jnp.where(limited, change * (steps / (k + 1.0) + 0.5 * k), share * margin / dt)
+        stops = jnp.where(jnp.isfinite(margin), stops, np.inf)
         bounds.append(jnp.clip(jnp.where(margin > 0.0, stops, margin / dt), -speed, speed))
     lower, upper = -bounds[0], bounds[1]
-    change = acceleration * dt
-    least, most = qd - change, qd + change
-    small = jnp.where(jnp.isfinite(change), _ROUNDING * change, 0.0)
+    least, most = (qd + jnp.where(limited, sign * change, sign * np.inf) for sign in (-1.0, 1.0))
+    small = _ROUNDING * change
     overrun = (lower > most + small) | (upper < least - small)
-    return VelocityBounds(jnp.clip(lower, least, most), jnp.clip(upper, least, most), overrun)
+    return VelocityBounds(jnp.clip(lower, least, most), jnp.clip(upper, least, most), overrun.astype(dtype))
 
 
 def as_freedoms(value: Any, n: int, default: float) -> np.ndarray:

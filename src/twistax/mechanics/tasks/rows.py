@@ -53,7 +53,7 @@ class TaskRows:
     def __call__(self, x: Arrays, u: Arrays, params: Arrays) -> tuple[jax.Array, jax.Array]:
         """e (m,) and J (m, n)."""
         if self._lowered is None:
-            return jnp.zeros(0), jnp.zeros((0, self._dofs))
+            return jnp.zeros(0, dtype_of(x)), jnp.zeros((0, self._dofs), dtype_of(x))
         e, J = self._lowered(0.0, x, *of_leaves(leaves_of(*(self.expressions or ())), u, params))
         return e, J
 
@@ -74,16 +74,17 @@ class ConstraintRows:
             if not isinstance(constraint, Constraint) or not isinstance(constraint, Inequality):
                 raise ModelError(f"{owner} keeps inequalities, got {name!r}: {short(constraint)}")
             residual = constraint.residual()
-            flat = residual.reshape(-1) if residual.shape else residual[None]
-            residuals.append(flat)
-            self.sizes[name] = flat.shape[0]
+            if len(residual.shape) > 1:
+                raise ModelError(f"{owner} keeps constraints of shape () or (k,), got {name!r} {residual.shape}")
+            residuals.append(residual if residual.shape else residual[None])
+            self.sizes[name] = residuals[-1].shape[0]
         self.expression = Concat(*residuals) if residuals else None
         self._lowered = None if self.expression is None else lower(self.expression)
 
     def values(self, x: Arrays, u: Arrays, params: Arrays) -> jax.Array:
         """c (k,)."""
         if self._lowered is None or self.expression is None:
-            return jnp.zeros(0)
+            return jnp.zeros(0, dtype_of(x))
         values: jax.Array = self._lowered(0.0, x, *of_leaves(leaves_of(self.expression), u, params))
         return values
 
@@ -91,7 +92,7 @@ class ConstraintRows:
         """c (k,) and C (k, n): $c' = C qd$."""
         n = self._space.mechanism.dofs
         if self._lowered is None:
-            return jnp.zeros(0), jnp.zeros((0, n))
+            return jnp.zeros(0, dtype_of(x)), jnp.zeros((0, n), dtype_of(x))
         at = self.values(x, u, params)
         C = jax.jacrev(lambda step: self.values(self._space.after(x, step), u, params))(jnp.zeros(n, at.dtype))
         return at, C
@@ -117,3 +118,8 @@ def inputs_of(owner: str, space: ConfigurationSpace, expressions: Sequence[Expr]
         [leaf for leaf in leaves.values() if isinstance(leaf, Control)],
         [leaf for leaf in leaves.values() if isinstance(leaf, Parameter)],
     )
+
+
+def dtype_of(x: Arrays) -> Any:
+    """The precision of positions."""
+    return next(iter(x.values())).dtype
