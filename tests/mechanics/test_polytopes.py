@@ -136,7 +136,7 @@ def test_pairs_of_a_mechanism(tmp_path: Path) -> None:
 
 
 def test_the_shapes_of_links_are_pairs() -> None:
-    link = lambda name, x: Link(joints.Free(name), None, tx.pose(position=[x, 0.0, 0.0]), shapes=Box((0.2, 0.2, 0.2)))  # noqa: E731
+    link = lambda name, x: Link(joints.Free(name), None, tx.pose(position=[x, 0.0, 0.0]), shapes=[Box((0.2, 0.2, 0.2))])  # noqa: E731
     pairs = clearances(Mechanism([link("a", 0.0), link("b", 1.0)]))
     assert list(pairs) == ["a-b"]
     x = {"a_position": np.eye(4), "b_position": np.eye(4)}

@@ -144,7 +144,7 @@ def distance(a: Core, b: Core, T: Any) -> jax.Array:
     T = jnp.asarray(T)
     R, p = T[:3, :3], T[:3, 3]
     constant = functools.partial(jnp.asarray, dtype=T.dtype)
-    placed = lambda points: constant(points) @ R.T + p  # noqa: E731
+    placed = lambda points: constant(points) @ R.T + p.reshape((1,) * (points.ndim - 1) + (3,))  # noqa: E731
     Va, Vb, Ea, Eb = constant(a.corners), placed(b.corners), constant(a.edges), placed(b.edges)
     squares = [jnp.ravel(jnp.sum((Va[:, None] - Vb[None]) ** 2, axis=2))]
     for points, edges in ((Vb, Ea), (Va, Eb)):
@@ -172,18 +172,18 @@ def _to_edges(points: jax.Array, edges: jax.Array) -> jax.Array:
     """The squared distances of points (k, 3) to edges (e, 2, 3)."""
     start, along = edges[:, 0], edges[:, 1] - edges[:, 0]
     w = points[:, None] - start[None]
-    s = jnp.clip(jnp.sum(w * along, axis=2) / jnp.sum(along**2, axis=1), 0.0, 1.0)
-    return jnp.ravel(jnp.sum((w - s[..., None] * along) ** 2, axis=2))
+    s = jnp.clip(jnp.sum(w * along[None], axis=2) / jnp.sum(along**2, axis=1)[None], 0.0, 1.0)
+    return jnp.ravel(jnp.sum((w - s[..., None] * along[None]) ** 2, axis=2))
 
 
 def _to_faces(points: jax.Array, faces: jax.Array) -> jax.Array:
     """The squared distances of points (k, 3) to triangles (f, 3, 3) within which they project."""
     corner, u, v = faces[:, 0], faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0]
     n = jnp.cross(u, v)
-    size = jnp.sum(n**2, axis=1)
+    size, n = jnp.sum(n**2, axis=1)[None], n[None]
     w = points[:, None] - corner[None]
-    s = jnp.sum(jnp.cross(w, v) * n, axis=2) / size
-    t = jnp.sum(jnp.cross(u, w) * n, axis=2) / size
+    s = jnp.sum(jnp.cross(w, jnp.broadcast_to(v[None], w.shape)) * n, axis=2) / size
+    t = jnp.sum(jnp.cross(jnp.broadcast_to(u[None], w.shape), w) * n, axis=2) / size
     height = jnp.sum(w * n, axis=2)
     within = (s >= 0.0) & (t >= 0.0) & (s + t <= 1.0)
     return jnp.ravel(jnp.where(within, height**2 / size, _FAR))
@@ -192,12 +192,13 @@ def _to_faces(points: jax.Array, faces: jax.Array) -> jax.Array:
 def _between(one: jax.Array, two: jax.Array) -> jax.Array:
     """The squared distances of lines of edges (e, 2, 3) and (f, 2, 3), where the nearest points lie within both."""
     d, e = one[:, 1] - one[:, 0], two[:, 1] - two[:, 0]
-    n = jnp.cross(d[:, None], e[None])
+    wide = (len(d), len(e), 3)
+    n = jnp.cross(jnp.broadcast_to(d[:, None], wide), jnp.broadcast_to(e[None], wide))
     size, w = jnp.sum(n**2, axis=2), two[None, :, 0] - one[:, None, 0]
     skew = size > _PARALLEL * jnp.sum(d**2, axis=1)[:, None] * jnp.sum(e**2, axis=1)[None]
     safe = jnp.where(skew, size, 1.0)
-    s = jnp.sum(jnp.cross(w, jnp.broadcast_to(e[None], w.shape)) * n, axis=2) / safe
-    t = jnp.sum(jnp.cross(w, jnp.broadcast_to(d[:, None], w.shape)) * n, axis=2) / safe
+    s = jnp.sum(jnp.cross(w, jnp.broadcast_to(e[None], wide)) * n, axis=2) / safe
+    t = jnp.sum(jnp.cross(w, jnp.broadcast_to(d[:, None], wide)) * n, axis=2) / safe
     within = skew & (s >= 0.0) & (s <= 1.0) & (t >= 0.0) & (t <= 1.0)
     return jnp.ravel(jnp.where(within, jnp.sum(w * n, axis=2) ** 2 / safe, _FAR))
 
@@ -213,7 +214,8 @@ def _separation(a: Core, b: Core, Va: jax.Array, Vb: jax.Array, R: jax.Array, p:
         gaps.append(jnp.min(normals @ Va.T, axis=1) - normals @ p - constant(b.offsets))
     d, e = (constant(_directions(core.edges)) for core in (a, b))
     if len(d) and len(e):
-        n = jnp.cross(d[:, None], (e @ R.T)[None]).reshape(-1, 3)
+        wide = (len(d), len(e), 3)
+        n = jnp.cross(jnp.broadcast_to(d[:, None], wide), jnp.broadcast_to((e @ R.T)[None], wide)).reshape(-1, 3)
         size = jnp.sum(n**2, axis=1)
         skew = size > _PARALLEL
         n = n / jnp.sqrt(jnp.where(skew, size, 1.0))[:, None]

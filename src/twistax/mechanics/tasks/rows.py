@@ -93,8 +93,10 @@ class ConstraintRows:
         n = self._space.mechanism.dofs
         if self._lowered is None:
             return jnp.zeros(0, dtype_of(x)), jnp.zeros((0, n), dtype_of(x))
-        at = self.values(x, u, params)
-        C = jax.jacrev(lambda step: self.values(self._space.after(x, step), u, params))(jnp.zeros(n, at.dtype))
+        along = lambda step: self.values(self._space.after(x, step), u, params)  # noqa: E731
+        at, back = jax.vjp(along, jnp.zeros(n, dtype_of(x)))
+        # Row by row: in a batch arrays are so wide that they would not become scalars.
+        C = jnp.stack([back(unit)[0] for unit in np.eye(len(at), dtype=at.dtype)])
         return at, C
 
 

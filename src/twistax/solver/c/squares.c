@@ -70,7 +70,12 @@ int32_t twx_squares_solve(const twx_squares *s, const double *problem, double *r
   options.warm_start = result[size - 1] == 1 ? 1 : 0;
   twx_qp_solution solution = {.x = result, .y = result + N};
   solution.z = solution.y + ne, solution.w = solution.z + nc, solution.scales = solution.w + N;
-  const int32_t status = twx_qp_solve(&qp, &options, &solution, work, &statistics), solved = status == TWX_QP_SOLVED;
+  int32_t status = twx_qp_solve(&qp, &options, &solution, work, &statistics);
+  if (status != TWX_QP_SOLVED && options.warm_start > 0) { /* a start is a guess, its scales too */
+    options.warm_start = 0;
+    status = twx_qp_solve(&qp, &options, &solution, work, &statistics);
+  }
+  const int32_t solved = status == TWX_QP_SOLVED;
   if (!solved) memset(result, 0, sizeof(double) * size);
   result[size - 1] = solved, result[size] = status;
   result[size + 1] = statistics.error, result[size + 2] = statistics.iterations;
