@@ -62,7 +62,9 @@ for t in ts:
     left.append([1e3 * float(np.linalg.norm(e)) for e in (step.errors[0], step.errors[3][:2], step.errors[5])])
     x = step.x
 
-print("hand, centre of mass, left foot: largest errors of the last second (mm):", np.round(np.max(left[-50:], axis=0), 2))
+print(
+    "hand, centre of mass, left foot: largest errors of the last second (mm):", np.round(np.max(left[-50:], axis=0), 2)
+)
 if np.max(left[-50:], axis=0)[2] > 0.1 or np.max(left[-50:]) > 50.0:
     raise SystemExit("the feet stand and the hand follows")
 xs = {name: np.stack([p[name] for p in path]) for name in path[0]}

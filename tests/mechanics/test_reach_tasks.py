@@ -64,9 +64,7 @@ def test_constraints_are_kept_or_named() -> None:
 def test_a_panda_reaches_over_a_shelf_in_batches() -> None:
     arm = mechanics.load(EXAMPLES / "panda.urdf")
     shelf = Box((0.4, 1.2, 0.04), at=(0.6, 0.0, 0.35))
-    clear = {
-        name: signed_distance(Sphere(0.09), shelf, arm.pose(name)) >= 0.02 for name in ("link4", "link5", "link7")
-    }
+    clear = {name: signed_distance(Sphere(0.09), shelf, arm.pose(name)) >= 0.02 for name in ("link4", "link5", "link7")}
     q = np.random.default_rng(1).uniform(arm.q.min, arm.q.max, size=(40, 7))
     flange = tx.lower(arm.pose("flange"))
     p = np.asarray(jax.vmap(lambda q: flange(0.0, {"q": q}))(q))[:, :3, 3]

@@ -1,4 +1,4 @@
-"""Tasks: their Jacobians are derivatives of their errors, and operational space and computed torque do what they say."""
+"""Tasks: Jacobians are derivatives of errors; operational space and computed torque do what they say."""
 
 import functools
 from pathlib import Path

@@ -24,8 +24,8 @@ Arrays = Callable[..., Sequence[Any]]
 def varying_entries(function: Arrays, *shapes: Any) -> Arrays:
     """The function as one kernel for results that are mostly zeros, such as Jacobians of trees of bodies.
 
-    `tx.fast` leaves functions with arrays of more than 128 entries in arrays. Here all arrays become scalars, entries of
-    results that are numbers leave the kernel, and the results are put together from both.
+    `tx.fast` leaves functions with arrays of more than 128 entries in arrays. Here all arrays become scalars, entries
+    of results that are numbers leave the kernel, and the results are put together from both.
 
     Args:
         function: of arrays, pure, to a list of arrays.

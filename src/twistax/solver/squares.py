@@ -1,7 +1,7 @@
 """Weighted least squares within linear constraints, in programs of JAX: the dense quadratic program of `qp.py`.
 
-    minimise    sum_i w_i (J_i x - r_i)^2 / 2 + damping |x|^2 / 2
-    subject to  A x = b,   row_lower <= C x <= row_upper,   lower <= x <= upper
+minimise    sum_i w_i (J_i x - r_i)^2 / 2 + damping |x|^2 / 2
+subject to  A x = b,   row_lower <= C x <= row_upper,   lower <= x <= upper
 """
 
 from __future__ import annotations

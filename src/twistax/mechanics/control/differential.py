@@ -93,8 +93,7 @@ class DifferentialController:
     compiled function: `replace` changes them without compiling.
 
     Source: S. Caron and others, Pink (2022), for the cost and the damping; O. Kanoun, F. Lamiraux, P. Wieber, Kinematic
-    control of redundant manipulators: generalizing the task-priority framework to inequality tasks, IEEE Transactions on
-    Robotics 27 (2011).
+    control of redundant manipulators, IEEE Transactions on Robotics 27 (2011), for limits in the program.
 
     Args:
         mechanism: a tree or a chain without closures.
@@ -187,7 +186,9 @@ class DifferentialController:
             raise InputError("DifferentialController expects qd, the present velocities, for limits of acceleration")
         params = {leaf.name: targets.pop(leaf.name, leaf.value) for leaf in self.parameters}
         start = np.zeros(self.solver.start_size) if warm is None else warm.start
-        step: DifferentialStep = self._call(dict(x), targets, params, qd if limited else None, start, self.settings.arrays)
+        step: DifferentialStep = self._call(
+            dict(x), targets, params, qd if limited else None, start, self.settings.arrays
+        )
         return step
 
     def to_c(
@@ -257,7 +258,9 @@ class DifferentialController:
         overrun = bounds.overrun > 0.0
         good = jnp.where(jnp.any(overrun), int(StepStatus.OVERRUN), int(StepStatus.SOLVED))
         finite = functools.reduce(jnp.logical_and, [jnp.all(~jnp.isnan(p)) for p in parts])
-        bad = jnp.where(solution.status == QPStatus.INFEASIBLE.value, int(StepStatus.INFEASIBLE), int(StepStatus.FAILED))
+        bad = jnp.where(
+            solution.status == QPStatus.INFEASIBLE.value, int(StepStatus.INFEASIBLE), int(StepStatus.FAILED)
+        )
         bad = jnp.where(finite, bad, int(StepStatus.NOT_FINITE))
         errors = [*self._split(e, self.tasks.sizes), *self._split(b, self.equalities.sizes)]
         return DifferentialStep(

@@ -33,7 +33,8 @@ def velocity_bounds(
     """The bounds for a step of dt.
 
     Without a limit of acceleration, a joint moves at most by a share of the distance to its limit. With one, a, it can
-    still stop at its limit by steps of a dt, in whole periods. A joint beyond its limit goes back, at most at its speed.
+    still stop at its limit by steps of a dt, in whole periods. A joint beyond its limit goes
+    back, at most at its speed.
 
     Args:
         qd: present velocities (n,); None without a limit of acceleration.

@@ -37,23 +37,23 @@ def clearances(
 ) -> dict[str, Expr]:
     """The signed distances () of all pairs of frames that may touch, m, by names such as "hand-forearm", "hand-table".
 
-    Frames that one joint connects, and frames of one rigid body, are no pairs; neither are those in `ignored` and in the
-    SRDF file. Between several solids of two frames the least distance counts.
+    Frames that one joint connects, and frames of one rigid body, are no pairs; neither are those in `ignored` and in
+    the SRDF file. Between several solids of two frames the least distance counts.
 
     Args:
         solids: by frame; None: the shapes of all links and of the base, meshes by convex hulls of 24 corners.
         obstacles: by name, in the axes of the base, each against all frames that move.
         ignored: pairs of names of frames or obstacles.
         srdf: a file with `<disable_collisions link1=... link2=.../>`, as MoveIt writes it.
-        far: None, or the broad phase: where the spheres around two solids are farther apart than this, m, their distance
-            stands in for that of the solids, which is not computed. It is a lower bound, so that constraints hold; the
-            value jumps there.
+        far: None, or the broad phase: where the spheres around two solids are farther apart than this, m, their
+            distance stands in for that of the solids, which is not computed. It is a lower bound, so that constraints
+            hold; the value jumps there.
     Raises:
         ModelError: a frame that is not known, a name that is twice, a solid without a distance, a file without such
             elements, or no pair is left.
 
     Example:
-        `arm.system(constraints={k: d >= 0.02 for k, d in clearances(arm, {"hand": Sphere(0.1)}, {"table": box}).items()})`
+        `clearances(arm, {"hand": Sphere(0.1)}, {"table": box})["hand-table"] >= 0.02`
     """
     checked("clearances", mechanism)
     by_frame = _of_links(mechanism) if solids is None else {name: _listed(value) for name, value in solids.items()}

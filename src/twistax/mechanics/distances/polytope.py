@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...checks import reals, short
-from ...errors import InputError, ModelError
+from ...errors import InputError
 from ...view import Mesh
 from ..arguments import pose
 from .solids import Rounded

@@ -46,9 +46,7 @@ _UNIT = np.eye(3)
 Solid: TypeAlias = Shape | HalfSpace | ConvexPolytope | DistanceGrid
 
 
-def signed_distance(
-    a: Solid, b: Solid, T_a: ExprLike | None = None, T_b: ExprLike | None = None
-) -> Expr:
+def signed_distance(a: Solid, b: Solid, T_a: ExprLike | None = None, T_b: ExprLike | None = None) -> Expr:
     """The distance () of two solids, m; below zero the depth by which they overlap.
 
     For cores with half lengths h, the distance outside is the least over corners and pairs of edges; with a box it is

@@ -11,6 +11,7 @@ Source: K. Lynch, F. Park, Modern Robotics (2017), section 6.2, for the error of
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -76,7 +77,7 @@ class ReachErrors:
         sizes = [*self._tasks.sizes, *([1] * sum(self.constraints.sizes.values()))]
         self.turns += [False] * (len(sizes) - len(self.turns))
         ends = [sum(sizes[:k]) for k in range(len(sizes) + 1)]
-        self.blocks = [slice(*pair) for pair in zip(ends[:-1], ends[1:], strict=True)]
+        self.blocks = [slice(*pair) for pair in itertools.pairwise(ends)]
         self.size = ends[-1]
 
     @property

@@ -87,7 +87,6 @@ class ReachResult:
         """The joints whose limits stop the best seed of one target."""
         return tuple(dict.fromkeys(self.joints[i] for i in np.flatnonzero(np.asarray(self.at_limit[index]))))
 
-
     def broken(self, *index: SupportsIndex, tolerance: float = 1e-5) -> tuple[str, ...]:
         """The constraints that the positions for one target break by more than a tolerance."""
         over = np.flatnonzero(np.asarray(self.constraints[index]) > tolerance)
@@ -122,8 +121,8 @@ def reach(
     positions are the same in every call.
 
     Further `tasks` are done as the targets are, and the error of a constraint $c(q) <= 0$ is $max(c, 0)$. Where all of
-    that is reached, steps along its solutions make the errors of `secondary` tasks smaller, by their weights, to a local
-    minimum or until the iterations end.
+    that is reached, steps along its solutions make the errors of `secondary` tasks smaller, by their weights, to a
+    local minimum or until the iterations end.
 
     Source: T. Sugihara, Solvability-Unconcerned Inverse Kinematics by the Levenberg-Marquardt Method, IEEE Transactions
     on Robotics 27 (2011), equations 14 to 18; C. Kanzow, N. Yamashita, M. Fukushima, Levenberg-Marquardt Methods with

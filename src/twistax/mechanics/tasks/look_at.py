@@ -18,8 +18,8 @@ from .task import Task
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class LookAtTask(Task):
-    """An axis a of a frame points at a point, such as that of a camera: $e = a - u$ (3,), in the axes of the frame, with
-    the direction $u = R^T (p_d - p) / r$ and the distance r of the point. $J = [u] J_w - (1 - u u^T) J_v / r$.
+    """An axis a of a frame points at a point, such as that of a camera: $e = a - u$ (3,), in the axes of the frame,
+    with the direction $u = R^T (p_d - p) / r$ and the distance r of the point. $J = [u] J_w - (1 - u u^T) J_v / r$.
 
     The length of e is $2 sin(angle / 2)$. A turn about the axis is free.
 

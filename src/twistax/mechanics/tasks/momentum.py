@@ -13,8 +13,8 @@ from .task import Task
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class CenterOfMassTask(Task):
-    """The centre of mass goes to a position: $e = c_d - c$ (3,), m, in the base, $J = A_v / m$ with the centroidal matrix
-    $A = [A_v; A_w]$.
+    """The centre of mass goes to a position: $e = c_d - c$ (3,), m, in the base, $J = A_v / m$ with the centroidal
+    matrix $A = [A_v; A_w]$.
 
     Attributes:
         target: $c_d$ (3,); None: the Control "center_of_mass".

@@ -106,7 +106,9 @@ def of_leaves(leaves: Iterable[Leaf], u: Mapping[str, Any], params: Mapping[str,
     return {k: v for k, v in u.items() if k in names}, {k: v for k, v in params.items() if k in names}
 
 
-def inputs_of(owner: str, space: ConfigurationSpace, expressions: Sequence[Expr]) -> tuple[list[Control], list[Parameter]]:
+def inputs_of(
+    owner: str, space: ConfigurationSpace, expressions: Sequence[Expr]
+) -> tuple[list[Control], list[Parameter]]:
     """The controls and the parameters of expressions. Raises ModelError for states other than the positions."""
     leaves: dict[tuple[type, str], Leaf] = {}
     for leaf in leaves_of(*expressions):

@@ -23,8 +23,8 @@ class Task(abc.ABC):
 
         $J(q) qd = k e(q)$,
 
-    with an error e (m,), a Jacobian J (m, n) such that $e' = -J qd$, and a gain k. To add a task, subclass it and define
-    the two methods; a target that changes with time is a `tx.Control`.
+    with an error e (m,), a Jacobian J (m, n) such that $e' = -J qd$, and a gain k. To add a task, subclass it and
+    define the two methods; a target that changes with time is a `tx.Control`.
 
     Attributes:
         weight: a number or (m,), in the cost of $|weight (J qd - k e)|^2$; in 1/m for positions, 1/rad for angles.
