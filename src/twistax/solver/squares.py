@@ -16,6 +16,9 @@ import numpy as np
 
 from .library import library
 
+#: The fields of `twx_squares`.
+_NAMES = ("variables", "rows", "equalities", "inequalities")
+
 
 class SquaresSolution(NamedTuple):
     """A solution, with the leading axes of a batch.
@@ -38,7 +41,7 @@ class SquaresSolution(NamedTuple):
 class _Sizes(ctypes.Structure):
     """`twx_squares`."""
 
-    _fields_ = [(name, ctypes.c_int32) for name in ("variables", "rows", "equalities", "inequalities")]
+    _fields_ = [(name, ctypes.c_int32) for name in _NAMES]
 
 
 class LeastSquares:
@@ -76,7 +79,7 @@ class LeastSquares:
         return SquaresSolution(result[: self.sizes[0]], result[:at], status, result[at + 1], iterations)
 
     def _solved(self, problem: jax.Array) -> jax.Array:
-        sizes = {name: np.int64(getattr(self._sizes, name)) for name, _ in _Sizes._fields_}
+        sizes = {name: np.int64(size) for name, size in zip(_NAMES, self.sizes, strict=True)}
 
         @jax.custom_batching.custom_vmap
         def solved(problems: Any) -> Any:

@@ -37,7 +37,7 @@ class _DifferentialCode:
         self._controller, self._name = controller, name
         mechanism = controller.mechanism
         places = mechanism.positions("to_c", None)
-        motion = {**kinematics(mechanism, places, mechanism.qd), mechanism.qd: np.zeros(mechanism.dofs)}
+        motion: dict[Any, Any] = {**kinematics(mechanism, places, mechanism.qd), mechanism.qd: np.zeros(mechanism.dofs)}
         read = {f"part {k}": part for k, part in enumerate(controller.expressions)}
         self.exporter = Exporter(compile(System(rates=motion, outputs=read)).functions, np.dtype(float))
         self.solver: LeastSquares = controller.solver

@@ -18,7 +18,7 @@ from ..arguments import pose
 class DistanceGrid:
     """Signed distances of a solid at the points of a grid, such as those of a scanned room.
 
-    Between points, `tx.tables.BSpline()` gives two continuous derivatives. `tx.tables.Linear()` is off by at most half
+    Between points, `tx.tables.BSpline()` gives two continuous derivatives. The error of `tx.tables.Linear()` is at most half
     of the diagonal of a cell, for distances have slopes of at most 1. Outside of the grid the nearest value on its
     border counts.
 

@@ -20,6 +20,7 @@ Source: C. Ericson, Real-Time Collision Detection (2005), sections 4.4.1, 5.1.3 
 from __future__ import annotations
 
 import functools
+from typing import TypeAlias
 
 import numpy as np
 

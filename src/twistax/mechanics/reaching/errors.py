@@ -102,5 +102,5 @@ class ReachErrors:
     @staticmethod
     def _weighted(tasks: TaskRows, x: Arrays) -> tuple[jax.Array, jax.Array]:
         e, J = tasks(x, {}, {})
-        weights = tasks.weights.astype(e.dtype)
+        weights = jnp.asarray(tasks.weights, e.dtype)
         return weights * e, weights[:, None] * J

@@ -146,7 +146,7 @@ class ConfigurationSpace:
             (np.append(bound, end)[flat] if self.width else np.full(len(flat), end)).astype(dtype)
             for bound, end in ((self.limits.lower, -np.inf), (self.limits.upper, np.inf))
         )
-        return q - lower, upper - q
+        return q - lower, jnp.asarray(upper) - q
 
     def free(self, x: Arrays, slope: jax.Array) -> jax.Array:
         """Which freedoms (n,) may follow the direction of descent: those not at a limit beyond which it points."""
