@@ -44,6 +44,7 @@ NO_ERRORS = {
         estimation.BatchEstimate Solution Statistics
         Sweep Trim charts.Coordinates diffrax.AmbientTerm diffrax.LieController diffrax.LieTerm mechanics.DaveModel
         mechanics.BaseParameters mechanics.GivenForces mechanics.ReachResult mechanics.ReachStatus mechanics.Regressor
+        mechanics.DifferentialStep mechanics.OperationalSpace mechanics.StepStatus
         mechanics.joints.Screws mechanics.environment.earth.Geodetic mechanics.flight.AirData
         mechanics.flight.Gust mechanics.flight.ImuReading trajectory.Discretization trajectory.Linearization
         trajectory.Accuracy trajectory.ControllerLog

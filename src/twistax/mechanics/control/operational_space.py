@@ -7,9 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ...errors import ShapeError
-from ...expr import Constant, Expr, to_expr
+from ...expr import Constant, Expr, InversePositive, SolvePositive, to_expr
 from ...expr.fields import ExprLike
-from ...linalg import InversePositive, SolvePositive
 from ..algorithms.dynamics import checked, inverse_dynamics, mass_matrix
 from ..arguments import of_shape
 from ..kinematic_tree import KinematicTree, Positions

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-import operator
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
@@ -13,7 +12,7 @@ import numpy as np
 
 from ...checks import number
 from ...errors import ModelError
-from ...expr import Cond, Constant, Exp, Expr, Log, Min, Norm
+from ...expr import Cond, Constant, Expr, LogSumExp, Min, Norm
 from ...expr.lie import Act
 from ...view import Mesh
 from ..algorithms.dynamics import checked
@@ -93,9 +92,7 @@ def soft_minimum(distances: Iterable[Expr] | Mapping[str, Expr], width: float) -
     values = list(distances.values() if isinstance(distances, Mapping) else distances)
     if not values:
         raise ModelError("soft_minimum expects distances, got none")
-    least = functools.reduce(Min, values)
-    total = functools.reduce(operator.add, [Exp((least - d) / width) for d in values])
-    return least - width * Log(total)
+    return values[0] if len(values) == 1 else -width * LogSumExp(*(-d / width for d in values))
 
 
 def disabled_pairs(srdf: str | Path) -> list[tuple[str, str]]:
@@ -139,8 +136,8 @@ def _distance(a: Solid, b: Solid, T_a: Expr | None, T_b: Expr | None, far: float
         return exact
     (c_a, r_a), (c_b, r_b) = _sphere(a), _sphere(b)
     between = (Constant(c_a) if T_a is None else Act(T_a, c_a)) - (Constant(c_b) if T_b is None else Act(T_b, c_b))
-    apart = Norm(between) - (r_a + r_b)
-    return Cond(apart > far, apart, exact)
+    gap = Norm(between) - (r_a + r_b)
+    return Cond(gap > far, gap, exact)
 
 
 def _sphere(solid: Solid) -> tuple[np.ndarray, float]:

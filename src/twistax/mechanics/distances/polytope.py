@@ -32,7 +32,8 @@ _FAR = 1e12
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ConvexPolytope:
-    """The convex hull of points, and all points within a radius of it.
+    """The convex hull of points $p_i$, and all points within a radius r of it: $|p - sum w_i p_i| <= r$ with weights
+    $w_i >= 0$ whose sum is 1.
 
     Attributes:
         corners: (k, 3), m: points, or a `tx.view.Mesh`, whose `at` counts too.
@@ -170,10 +171,10 @@ def _root(square: jax.Array) -> jax.Array:
 
 def _to_edges(points: jax.Array, edges: jax.Array) -> jax.Array:
     """The squared distances of points (k, 3) to edges (e, 2, 3)."""
-    start, along = edges[:, 0], edges[:, 1] - edges[:, 0]
+    start, direction = edges[:, 0], edges[:, 1] - edges[:, 0]
     w = points[:, None] - start[None]
-    s = jnp.clip(jnp.sum(w * along[None], axis=2) / jnp.sum(along**2, axis=1)[None], 0.0, 1.0)
-    return jnp.ravel(jnp.sum((w - s[..., None] * along[None]) ** 2, axis=2))
+    s = jnp.clip(jnp.sum(w * direction[None], axis=2) / jnp.sum(direction**2, axis=1)[None], 0.0, 1.0)
+    return jnp.ravel(jnp.sum((w - s[..., None] * direction[None]) ** 2, axis=2))
 
 
 def _to_faces(points: jax.Array, faces: jax.Array) -> jax.Array:
@@ -220,9 +221,9 @@ def _separation(a: Core, b: Core, Va: jax.Array, Vb: jax.Array, R: jax.Array, p:
         skew = size > _PARALLEL
         n = n / jnp.sqrt(jnp.where(skew, size, 1.0))[:, None]
         of_a, of_b = n @ Va.T, n @ Vb.T
-        ahead = jnp.min(of_b, axis=1) - jnp.max(of_a, axis=1)
-        behind = jnp.min(of_a, axis=1) - jnp.max(of_b, axis=1)
-        gaps.append(jnp.where(skew, jnp.maximum(ahead, behind), -_FAR))
+        gap_of_b = jnp.min(of_b, axis=1) - jnp.max(of_a, axis=1)
+        gap_of_a = jnp.min(of_a, axis=1) - jnp.max(of_b, axis=1)
+        gaps.append(jnp.where(skew, jnp.maximum(gap_of_b, gap_of_a), -_FAR))
     return jnp.max(jnp.concatenate(gaps))
 
 
@@ -254,8 +255,8 @@ def _fewer(hull: NDArray[np.float64], most: int) -> NDArray[np.float64]:
     if most < 4:
         raise InputError(f"ConvexPolytope expects most of 4 or more, got {most}")
     kept = [int(np.argmax(np.linalg.norm(hull - hull.mean(axis=0), axis=1)))]
-    apart = np.linalg.norm(hull - hull[kept[0]], axis=1)
+    distances = np.linalg.norm(hull - hull[kept[0]], axis=1)
     while len(kept) < most:
-        kept.append(int(np.argmax(apart)))
-        apart = np.minimum(apart, np.linalg.norm(hull - hull[kept[-1]], axis=1))
+        kept.append(int(np.argmax(distances)))
+        distances = np.minimum(distances, np.linalg.norm(hull - hull[kept[-1]], axis=1))
     return _hull(hull[kept])

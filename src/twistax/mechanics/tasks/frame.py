@@ -21,6 +21,8 @@ class FrameTask(Task):
     Attributes:
         frame: its name.
         target: $T_d$ (4, 4) in the base; None: the Control "<frame>_pose".
+        weight, gain, damping: as of `Task`.
+    Raises: ModelError for a frame that is not known; ShapeError for a target of another shape; as `Task`.
     """
 
     frame: str
@@ -41,6 +43,8 @@ class PositionTask(Task):
     Attributes:
         frame: its name.
         target: $p_d$ (3,) in the base; None: the Control "<frame>_position".
+        weight, gain, damping: as of `Task`.
+    Raises: ModelError for a frame that is not known; ShapeError for a target of another shape; as `Task`.
     """
 
     frame: str
@@ -61,6 +65,8 @@ class OrientationTask(Task):
     Attributes:
         frame: its name.
         target: $R_d$ (3, 3) in the base; None: the Control "<frame>_orientation".
+        weight, gain, damping: as of `Task`.
+    Raises: ModelError for a frame that is not known; ShapeError for a target of another shape; as `Task`.
     """
 
     frame: str

@@ -27,6 +27,7 @@ class LookAtTask(Task):
         frame: its name.
         axis: a (3,) in the frame, of any length; its x axis by default.
         target: $p_d$ (3,) in the base; None: the Control "<frame>_look_at".
+        weight, gain, damping: as of `Task`.
     Raises: ModelError for an axis that is no direction.
     """
 

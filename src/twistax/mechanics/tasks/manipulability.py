@@ -7,8 +7,7 @@ import dataclasses
 import numpy as np
 
 from ...errors import ModelError
-from ...expr import Concat, Constant, Expr, Sum
-from ...linalg import InversePositive
+from ...expr import Concat, Constant, Expr, InversePositive, Sum
 from ..algorithms.jacobians import BODY, frame_jacobian, frame_jacobian_rate
 from ..kinematic_tree import KinematicTree
 from .task import Task
@@ -24,6 +23,7 @@ class ManipulabilityTask(Task):
     Attributes:
         frame: its name.
         angular: whether J has the rows of the angular velocity as well.
+        weight, gain, damping: as of `Task`.
     Raises: ModelError for fewer freedoms than rows.
     """
 

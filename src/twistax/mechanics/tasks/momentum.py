@@ -18,6 +18,8 @@ class CenterOfMassTask(Task):
 
     Attributes:
         target: $c_d$ (3,); None: the Control "center_of_mass".
+        weight, gain, damping: as of `Task`.
+    Raises: ModelError where no mass moves; ShapeError for a target of another shape; as `Task`.
     """
 
     target: ExprLike | None = None
@@ -39,6 +41,8 @@ class MomentumTask(Task):
 
     Attributes:
         target: $h_d$ (6,), in axes parallel to the base's; None: the Control "momentum".
+        weight, gain, damping: as of `Task`.
+    Raises: ModelError where no mass moves; ShapeError for a target of another shape; as `Task`.
     """
 
     target: ExprLike | None = None

@@ -25,6 +25,7 @@ class PostureTask(Task):
     Attributes:
         target: $q_d$ (w,), all of "q"; None: the Control "posture".
         joints: whose coordinates count; None: all of them.
+        weight, gain, damping: as of `Task`.
     Raises: ModelError for a joint that is not known, or on a group.
     """
 
@@ -51,6 +52,7 @@ class JointLimitTask(Task):
 
     Attributes:
         joints: whose coordinates count; None: all of them.
+        weight, gain, damping: as of `Task`.
     Raises: ModelError for a joint that is not known, on a group, or if no limits are left.
     """
 

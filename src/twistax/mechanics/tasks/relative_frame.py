@@ -20,6 +20,8 @@ class RelativeFrameTask(Task):
     Attributes:
         frame, relative_to: names.
         target: $X_d$ (4, 4); None: the Control "<frame>_in_<relative_to>".
+        weight, gain, damping: as of `Task`.
+    Raises: ModelError for a frame that is not known; ShapeError for a target of another shape; as `Task`.
     """
 
     frame: str

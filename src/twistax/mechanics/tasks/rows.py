@@ -93,8 +93,8 @@ class ConstraintRows:
         n = self._space.mechanism.dofs
         if self._lowered is None:
             return jnp.zeros(0, dtype_of(x)), jnp.zeros((0, n), dtype_of(x))
-        along = lambda step: self.values(self._space.after(x, step), u, params)  # noqa: E731
-        at, back = jax.vjp(along, jnp.zeros(n, dtype_of(x)))
+        moved = lambda step: self.values(self._space.after(x, step), u, params)  # noqa: E731
+        at, back = jax.vjp(moved, jnp.zeros(n, dtype_of(x)))
         # Row by row: in a batch arrays are so wide that they would not become scalars.
         C = jnp.stack([back(unit)[0] for unit in np.eye(len(at), dtype=at.dtype)])
         return at, C
@@ -114,10 +114,10 @@ def inputs_of(
     for leaf in leaves_of(*expressions):
         if not isinstance(leaf, Constant):
             leaves.setdefault((type(leaf), leaf.name), leaf)
-    others = [leaf.name for leaf in leaves.values() if isinstance(leaf, Time)]
-    others += [leaf.name for leaf in leaves.values() if isinstance(leaf, State) and leaf.name not in space.names]
-    if others:
-        raise ModelError(f"{owner} reads positions, controls and parameters, got expressions of {listed(others)}")
+    unknown = [leaf.name for leaf in leaves.values() if isinstance(leaf, Time)]
+    unknown += [leaf.name for leaf in leaves.values() if isinstance(leaf, State) and leaf.name not in space.names]
+    if unknown:
+        raise ModelError(f"{owner} reads positions, controls and parameters, got expressions of {listed(unknown)}")
     return (
         [leaf for leaf in leaves.values() if isinstance(leaf, Control)],
         [leaf for leaf in leaves.values() if isinstance(leaf, Parameter)],

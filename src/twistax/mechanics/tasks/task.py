@@ -19,7 +19,9 @@ from ..kinematic_tree import KinematicTree
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Task(abc.ABC):
-    """What a motion should do: it asks velocities qd for
+    """What a motion should do: an error, and velocities that make it smaller.
+
+    A task asks for velocities qd with
 
         $J(q) qd = k e(q)$,
 
