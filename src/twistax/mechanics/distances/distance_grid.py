@@ -19,8 +19,8 @@ class DistanceGrid:
     """Signed distances of a solid at the points of a grid, such as those of a scanned room.
 
     Between points, `tx.tables.BSpline()` gives two continuous derivatives. The error of `tx.tables.Linear()` is at most
-    half of the diagonal of a cell, $|h| / 2$, for distances have slopes of at most 1. Outside of the grid the nearest value on its
-    border counts.
+    half of the diagonal of a cell, $|h| / 2$, for distances have slopes of at most 1. Outside of the grid the nearest
+    value on its border counts.
 
     Attributes:
         axes: three arrays of coordinates, increasing, m, in the frame of the grid.
