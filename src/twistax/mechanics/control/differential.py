@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import enum
 import functools
@@ -15,6 +16,7 @@ import numpy as np
 
 from ...checks import listed, number, reals
 from ...errors import InputError, ModelError
+from ...progress import watched
 from ...scalar.varying_entries import varying_entries
 from ...solver.qp import QPStatus
 from ...solver.squares import LeastSquares
@@ -145,6 +147,7 @@ class DifferentialController:
         n, sizes = mechanism.dofs, (sum(self.tasks.sizes), sum(self.equalities.sizes))
         self.solver = LeastSquares(n, *sizes, sum(self.constraints.sizes.values()))
         self._call = jax.jit(self._step)
+        self._compiled = False
 
     def replace(self, **changes: Any) -> DifferentialController:
         """A copy with other `dt`, `speed`, `acceleration`, `limit_gain`, `constraint_gain` or `regularization`.
@@ -186,9 +189,11 @@ class DifferentialController:
             raise InputError("DifferentialController expects qd, the present velocities, for limits of acceleration")
         params = {leaf.name: targets.pop(leaf.name, leaf.value) for leaf in self.parameters}
         start = np.zeros(self.solver.start_size) if warm is None else warm.start
-        step: DifferentialStep = self._call(
-            dict(x), targets, params, qd if limited else None, start, self.settings.arrays
-        )
+        arguments = (dict(x), targets, params, qd if limited else None, start, self.settings.arrays)
+        # The first call compiles; later ones are so short that nothing watches them.
+        with contextlib.nullcontext() if self._compiled else watched("DifferentialController"):
+            step: DifferentialStep = self._call(*arguments)
+        self._compiled = True
         return step
 
     def to_c(
