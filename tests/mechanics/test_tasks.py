@@ -124,7 +124,7 @@ def test_what_is_no_task(unchecked: None) -> None:
         (lambda: FrameTask("hand", gain=np.inf), "gain of 0 or more"),
         (lambda: FrameTask("hand", np.zeros((4, 4))).error(arm), "target to be a pose"),
         (lambda: FrameTask("nothing").error(arm), "no frame 'nothing'"),
-        (lambda: PostureTask(joints=["nothing"]).error(arm), "no joint 'nothing'"),
+        (lambda: PostureTask(joints=["nothing"]).error(arm), "joint 'nothing'"),
         (lambda: PostureTask(joints=["root"]).error(TREE), "on a group"),
         (lambda: ManipulabilityTask("joint1").jacobian(mechanics.chain_models.equal_links(2)), "singular everywhere"),
     ):
