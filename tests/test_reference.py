@@ -44,7 +44,8 @@ NO_ERRORS = {
         estimation.BatchEstimate Solution Statistics
         Sweep Trim charts.Coordinates diffrax.AmbientTerm diffrax.LieController diffrax.LieTerm mechanics.DaveModel
         mechanics.BaseParameters mechanics.Bristles mechanics.GivenForces mechanics.ReachResult mechanics.ReachStatus
-        mechanics.Regressor mechanics.Identification mechanics.IdentificationStatus
+        mechanics.Regressor mechanics.Identification mechanics.IdentificationStatus mechanics.DifferentialStep
+        mechanics.OperationalSpace mechanics.StepStatus
         mechanics.joints.Screws mechanics.environment.earth.Geodetic mechanics.flight.AirData
         mechanics.flight.Gust mechanics.flight.ImuReading trajectory.Discretization trajectory.Linearization
         trajectory.Accuracy trajectory.ControllerLog

@@ -29,7 +29,8 @@ def test_the_sources_are_strict_c99_without_allocation(tmp_path: Path) -> None:
         *(f"twx_transcribed_{name}" for name in ("values", "jacobians", "hessians", "retract")),
         *("twx_qp_defaults", "twx_qp_option_name", "twx_qp_option_source", "twx_qp_options_count"),
         *("twx_qp_solve", "twx_qp_workspace_size", "twx_form_memory", "twx_solve_members", "twx_linearised_members"),
-        *("twx_solve_handler", "twx_linearised_handler"),
+        *("twx_solve_handler", "twx_linearised_handler", "twx_squares_handler", "twx_squares_solve"),
+        *(f"twx_squares_{size}" for size in ("problem", "start", "result", "workspace")),
     }
     assert {name for name in external if not name.startswith("twx_")} <= {
         *(

@@ -24,7 +24,9 @@ from .algorithms.momentum import (
     total_mass,
 )
 from .bodies import SpatialInertia, power
-from .contact import Bristles, GivenForces, Ground, given_forces
+from .contact import Bristles, GivenForces, Ground, given_forces .control.differential DifferentialController,
+DifferentialStep, StepStatus .control.operational_space OperationalSpace, computed_torque, operational_space
+.distances.distance_grid DistanceGrid .distances.pairs clearances, soft_minimum .distances.polytope ConvexPolytope
 from .distances.signed_distance import signed_distance
 from .distances.solids import HalfSpace
 from .drives import Drive
@@ -36,19 +38,29 @@ from .identification.regressor import Regressor, inverse_dynamics_regressor
 from .mechanism import Chain, Mechanism
 from .models import DaveModel, load, load_daveml
 from .reaching.reach import ReachResult, ReachStatus, reach
+from .tasks.frame import FrameTask, OrientationTask, PositionTask
+from .tasks.look_at import LookAtTask
+from .tasks.manipulability import ManipulabilityTask
+from .tasks.momentum import CenterOfMassTask, MomentumTask
+from .tasks.posture import JointLimitTask, PostureTask
+from .tasks.relative_frame import RelativeFrameTask
+from .tasks.task import Task
 from .tree import Link, Mimic
 
 # fmt: off
 __all__ = [
-    "ALIGNED", "BODY", "WORLD", "BaseParameters", "Bristles", "Chain", "DaveModel", "Drive", "GivenForces", "Ground",
-    "HalfSpace", "Identification", "IdentificationStatus", "Link", "Mechanism", "Mimic", "ReachResult", "ReachStatus",
-    "Regressor", "SpatialInertia", "aba", "base_parameters", "bias_forces", "center_of_mass", "centroidal_matrix",
-    "centroidal_momentum", "chain_models", "closed_dynamics", "coriolis_forces", "environment", "flight",
+    "ALIGNED", "BODY", "WORLD", "BaseParameters", "Bristles", "CenterOfMassTask", "Chain", "ConvexPolytope",
+    "DaveModel", "DifferentialController", "DifferentialStep", "DistanceGrid", "Drive", "FrameTask", "GivenForces",
+    "Ground", "HalfSpace", "Identification", "IdentificationStatus", "JointLimitTask", "Link", "LookAtTask",
+    "ManipulabilityTask", "Mechanism", "Mimic", "MomentumTask", "OperationalSpace", "OrientationTask", "PositionTask",
+    "PostureTask", "ReachResult", "ReachStatus", "Regressor", "RelativeFrameTask", "SpatialInertia", "StepStatus",
+    "Task", "aba", "base_parameters", "bias_forces", "center_of_mass", "centroidal_matrix", "centroidal_momentum",
+    "chain_models", "clearances", "closed_dynamics", "computed_torque", "coriolis_forces", "environment", "flight",
     "forward_dynamics", "forward_dynamics_derivatives", "frame_jacobian", "frame_jacobian_rate", "frame_twist",
     "given_forces", "gravity_forces", "identifiable_combinations", "identify", "inverse_dynamics",
     "inverse_dynamics_derivatives", "inverse_dynamics_regressor", "joint_wrench", "joints", "kinetic_energy", "load",
     "load_daveml", "log_cholesky", "loop_diagnostics", "loop_gap", "loop_wrench", "loop_wrenches", "loops",
-    "mass_matrix", "physical_inertia", "potential_energy", "power", "reach", "rnea", "signed_distance",
-    "spatial_momentum", "total_mass",
+    "mass_matrix", "operational_space", "physical_inertia", "potential_energy", "power", "reach", "rnea",
+    "signed_distance", "soft_minimum", "spatial_momentum", "total_mass",
 ]
 # fmt: on

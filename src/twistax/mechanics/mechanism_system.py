@@ -59,8 +59,8 @@ def system_of(
     slopes = None if mechanism.loops else slopes_of_accelerations(mechanism, total, wrenches)
     if mechanism.loops:
         moved, sped = ClosedLoops(mechanism).corrections
-        corrections = {**_kinematics(mechanism, places, moved), mechanism.qd: sped}
-    motion: dict[Any, ExprLike] = {**_kinematics(mechanism, places, mechanism.qd), mechanism.qd: accelerations}
+        corrections = {**kinematics(mechanism, places, moved), mechanism.qd: sped}
+    motion: dict[Any, ExprLike] = {**kinematics(mechanism, places, mechanism.qd), mechanism.qd: accelerations}
     twice = [state.name for state in motion if state.name in further]
     if twice:
         raise ModelError(
@@ -90,7 +90,7 @@ def _passive_forces(mechanism: KinematicTree, places: list[Expr]) -> list[Expr]:
     return tau
 
 
-def _kinematics(mechanism: KinematicTree, places: list[Expr], qd: Expr) -> dict[Any, Expr]:
+def kinematics(mechanism: KinematicTree, places: list[Expr], qd: Expr) -> dict[Any, Expr]:
     """The rates of all positions at velocities (n,)."""
     q = mechanism.q
     vector = q if isinstance(q, State) else q.get("q")
@@ -166,7 +166,7 @@ def inverse_system_of(
             raise ModelError(f"inverse_system: {kind} names {listed(twice)}, which it adds itself.\n  fix: rename it")
     labels = labels_of(mechanism, [])
     labels["qdd"] = [(name, f"{unit}2" if unit.endswith("/s") else unit) for name, unit in labels["qd"]]
-    motion: dict[Any, ExprLike] = {**_kinematics(mechanism, places, mechanism.qd), mechanism.qd: qdd}
+    motion: dict[Any, ExprLike] = {**kinematics(mechanism, places, mechanism.qd), mechanism.qd: qdd}
     return System(rates=motion, outputs={**shown, **(outputs or {})}, constraints={**rows, **further}, labels=labels)
 
 

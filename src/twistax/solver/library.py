@@ -25,10 +25,11 @@ _NAMES = (
     *("twx_workspace_size", "twx_solve", "twx_phase_work", "twx_phase_states"),
     *("twx_qp_workspace_size", "twx_qp_solve"),
     *("twx_form_memory", "twx_solve_members", "twx_linearised_members"),
+    "twx_squares_workspace",
 )
 
 #: Functions that XLA calls, by the targets that they are registered as.
-_HANDLERS = ("twx_solve_handler", "twx_linearised_handler")
+_HANDLERS = ("twx_solve_handler", "twx_linearised_handler", "twx_squares_handler")
 
 #: Functions of a transcribed problem, by what `StageFunctions` calls them.
 _TRANSCRIBED = ("values", "jacobians", "hessians", "retract")
@@ -45,7 +46,8 @@ class Library:
         transcribed: addresses of the functions of a transcribed problem, see transcription.h.
         qp_workspace_size, qp_solve: the same of a dense quadratic program, see qp.h.
         form_memory, solve_members, linearised_members: of members of a batch, see members.h.
-        targets: what `jax.ffi.ffi_call` calls the solve and the linearisation of a batch.
+        squares_workspace: doubles that a least-squares problem needs, see squares.h.
+        targets: what `jax.ffi.ffi_call` calls the solve and the linearisation of a batch, and its least squares.
     """
 
     def __init__(self, code: MachineCode) -> None:
@@ -62,9 +64,10 @@ class Library:
         self.form_memory = ctypes.CFUNCTYPE(ctypes.c_size_t, pointer)(members[0])
         self.solve_members = ctypes.CFUNCTYPE(None, pointer, long, *[pointer] * 3)(members[1])
         self.linearised_members = ctypes.CFUNCTYPE(count, pointer, long, long, *[pointer] * 3)(members[2])
+        self.squares_workspace = ctypes.CFUNCTYPE(ctypes.c_size_t, pointer)(members[3])
 
     @functools.cached_property
-    def targets(self) -> tuple[str, str]:
+    def targets(self) -> tuple[str, str, str]:
         # XLA keeps a target until the process ends, and registers a name once.
         targets = []
         for name in _HANDLERS:
@@ -72,7 +75,7 @@ class Library:
             handler = ctypes.CFUNCTYPE(_VOID_POINTER, _VOID_POINTER)(self._code.addresses[name])
             jax.ffi.register_ffi_target(target, jax.ffi.pycapsule(handler), platform="cpu")
             targets.append(target)
-        return targets[0], targets[1]
+        return targets[0], targets[1], targets[2]
 
 
 @functools.cache

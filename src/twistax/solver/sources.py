@@ -42,6 +42,8 @@ _FILES = (
     "qp_interior",
     "qp_proof",
     "qp",
+    "squares",
+    "squares_handler",
 )
 
 _INCLUDE = re.compile(r'^#include "(?P<name>\w+\.\w+)"\n', re.MULTILINE)
@@ -49,31 +51,42 @@ _INCLUDE = re.compile(r'^#include "(?P<name>\w+\.\w+)"\n', re.MULTILINE)
 
 def header() -> str:
     """The interface in C: structures, statuses and functions, with the options expanded."""
-    after = ("transcription.h", "members.h", "qp.h")
+    after = ("transcription.h", "members.h", "qp.h", "squares.h")
     return "".join([_expanded(_read("core.h")), *(_expanded(_read(name), drop=("core.h", *after)) for name in after)])
 
 
 def amalgamation() -> str:
     """All of the core as one C99 file; only the functions of the header have external linkage."""
     parts = ["#define TWX_INTERNAL static\n", header()]
-    inner = ("work.h", "phase.h", "qp_work.h")
+    inner = ("dense.h", "work.h", "phase.h", "qp_work.h", "ffi.h")
     parts += [_INCLUDE.sub("", _read(name)) for name in inner]
-    parts += [_expanded(_read(f"{name}.c"), drop=("core.h", "members.h", *inner)) for name in _FILES]
+    parts += [_expanded(_read(f"{name}.c"), drop=("core.h", "members.h", "squares.h", *inner)) for name in _FILES]
     return "\n".join(parts)
 
 
 #: What an exported controller does without: names of options, batches, and the dense program.
-_IN_PYTHON = ("options", "members", "handler", "cholesky")
+_IN_PYTHON = ("options", "members", "handler", "cholesky", "squares", "squares_handler")
 
 
 def controller_core() -> str:
     """The part of the core that solves transcribed problems, as one C99 file without external names but `twx_` ones."""
-    inner = ("work.h", "phase.h")
+    inner = ("dense.h", "work.h", "phase.h")
     drop = ("core.h", *inner)
     parts = ["#define TWX_INTERNAL static\n", _expanded(_read("core.h")), _expanded(_read("transcription.h"), drop)]
     parts += [_INCLUDE.sub("", _read(name)) for name in inner]
     kept = [name for name in _FILES if name not in _IN_PYTHON and not name.startswith("qp")]
     return "\n".join([*parts, *(_expanded(_read(f"{name}.c"), drop) for name in kept)])
+
+
+def squares_core() -> str:
+    """The part of the core that solves dense least squares within constraints, as one C99 file."""
+    inner = ("dense.h", "qp_work.h")
+    headers = ["qp.h", "squares.h"]
+    # Inline, so that a function which is not called is no warning.
+    parts = ["#define TWX_INTERNAL static inline\n", *(_expanded(_read(name), (*inner, *headers)) for name in headers)]
+    parts += [_INCLUDE.sub("", _read(name)) for name in inner]
+    kept = [name for name in _FILES if name in ("dense", "cholesky", "squares") or name.startswith("qp")]
+    return "\n".join([*parts, *(_expanded(_read(f"{name}.c"), (*inner, *headers)) for name in kept)])
 
 
 def fingerprint() -> str:

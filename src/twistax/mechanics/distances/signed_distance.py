@@ -20,14 +20,20 @@ Source: C. Ericson, Real-Time Collision Detection (2005), sections 4.4.1, 5.1.3 
 from __future__ import annotations
 
 import functools
+from typing import TypeAlias
 
 import numpy as np
 
+from ...checks import short
+from ...errors import ModelError
 from ...expr import Abs, Constant, Cross, Dot, Expr, Max, Min, Sqrt, Where
 from ...expr.fields import ExprLike
-from ...expr.lie import Compose, Inverse
+from ...expr.functions.function import Function
+from ...expr.lie import Act, Compose, Inverse
 from ...view import Shape
 from ..arguments import pose
+from .distance_grid import DistanceGrid
+from .polytope import ConvexPolytope, Core, distance
 from .solids import HalfSpace, Rounded, rounded
 
 #: Of edges nearer to parallel than this sine squared, the corners are as near as the edges.
@@ -37,9 +43,11 @@ _FAR = Constant(1e12)
 _UNIT = np.eye(3)
 
 
-def signed_distance(
-    a: Shape | HalfSpace, b: Shape | HalfSpace, T_a: ExprLike | None = None, T_b: ExprLike | None = None
-) -> Expr:
+#: What has a distance.
+Solid: TypeAlias = Shape | HalfSpace | ConvexPolytope | DistanceGrid
+
+
+def signed_distance(a: Solid, b: Solid, T_a: ExprLike | None = None, T_b: ExprLike | None = None) -> Expr:
     """The distance () of two solids, m; below zero the depth by which they overlap.
 
     For cores with half lengths h, the distance outside is the least over corners and pairs of edges; with a box it is
@@ -50,7 +58,8 @@ def signed_distance(
     Source: C. Ericson, Real-Time Collision Detection (2005), sections 4.4.1, 5.1.3 and 5.1.9.
 
     Args:
-        a, b: `tx.view.Sphere`, `Capsule` or `Box`, or one `HalfSpace`. Their `at` is in the frame of their bodies.
+        a, b: `tx.view.Sphere`, `Capsule` or `Box`, `ConvexPolytope`, or one `HalfSpace`; a `Sphere` and a
+            `DistanceGrid`. Their `at` is in the frame of their bodies.
         T_a, T_b: poses (4, 4) of the bodies in one frame, such as `arm.pose("hand")`; the identity by default.
     Raises:
         ModelError: another shape; two half-spaces; numbers that are no pose.
@@ -61,14 +70,30 @@ def signed_distance(
     """
     owner = "signed_distance"
     poses = [pose(owner, name, np.eye(4) if T is None else T) for name, T in (("T_a", T_a), ("T_b", T_b))]
-    if isinstance(a, HalfSpace):
+    if isinstance(a, (HalfSpace, DistanceGrid)):
         a, b, poses = b, a, poses[::-1]
-    core = rounded(owner, a)
+    if isinstance(b, DistanceGrid):
+        ball = rounded(owner, a)
+        if ball.half.any():
+            raise ModelError(f"{owner} expects a Sphere beside a DistanceGrid, got {short(a)}.\n  fix: several spheres")
+        return b.value(Act(Compose(Inverse(poses[1]), poses[0]), ball.at[:3, 3])) - ball.radius
+    core = a if isinstance(a, ConvexPolytope) else rounded(owner, a)
     T = Compose(poses[0], Constant(core.at))
     if isinstance(b, HalfSpace):
-        return _above(core, Compose(Inverse(Compose(poses[1], Constant(b.at))), T))
-    other = rounded(owner, b)
-    return _apart(core, other, Compose(Inverse(T), Compose(poses[1], Constant(other.at))))
+        T = Compose(Inverse(Compose(poses[1], Constant(b.at))), T)
+        return _above(core, T) if isinstance(core, Rounded) else _lowest(core, T)
+    other = b if isinstance(b, ConvexPolytope) else rounded(owner, b)
+    T = Compose(Inverse(T), Compose(poses[1], Constant(other.at)))
+    if isinstance(core, Rounded) and isinstance(other, Rounded):
+        return _apart(core, other, T)
+    between = functools.partial(distance, Core.of(core), Core.of(other))
+    return Function(between, (), name="signed_distance")(T)
+
+
+def _lowest(solid: ConvexPolytope, T: Expr) -> Expr:
+    """The height of the lowest corner over the plane z = 0."""
+    heights = Constant(solid.core.corners) @ T[2, :3]
+    return functools.reduce(Min, [heights[i] for i in range(heights.shape[0])]) + T[2, 3] - solid.radius
 
 
 def _above(core: Rounded, T: Expr) -> Expr:

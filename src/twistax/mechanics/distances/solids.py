@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...checks import short
 from ...errors import ModelError
-from ...view import Box, Capsule, Shape, Sphere
+from ...view import Box, Capsule, Sphere
 from ..arguments import pose
 
 
@@ -61,7 +61,7 @@ class Rounded:
         return np.unique(np.where(np.arange(3) == i, 0.0, corners), axis=0)
 
 
-def rounded(owner: str, shape: Shape | HalfSpace) -> Rounded:
+def rounded(owner: str, shape: Any) -> Rounded:
     """A shape as a core and a radius. Raises ModelError for other shapes."""
     if isinstance(shape, Sphere):
         return Rounded(shape.at, np.zeros(3), float(shape.radius))

@@ -6,7 +6,7 @@ import dataclasses
 import enum
 import functools
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, SupportsIndex
 
 import jax
@@ -19,10 +19,13 @@ from ...jax_inside import is_traced
 from ...progress import watching
 from ...scalar.fast import part_of_package
 from ...system.lower import lower
+from ...system.system import constraints_by_name
 from ..algorithms.dynamics import checked
 from ..kinematic_tree import KinematicTree
+from ..tasks.configuration_space import Arrays, ConfigurationSpace
+from ..tasks.task import Task
+from .errors import ReachErrors
 from .solver import SearchEnd, SearchOptions, SeededSearch
-from .tasks import Arrays, Tasks
 
 #: How far a target may be from a pose.
 _NEARLY = 1e-4
@@ -31,7 +34,7 @@ _NEARLY = 1e-4
 class ReachStatus(enum.IntEnum):
     """What became of a target.
 
-    - `REACHED`: all frames are at their targets, to the tolerances.
+    - `REACHED`: all frames are at their targets, to the tolerances; all tasks are done and all constraints hold.
     - `LIMIT`: the best seed ended where limits of joints stop it; `at_limit` says which.
     - `UNREACHABLE`: the best seed ended without a limit that stops it: at a minimum of the distance where `slope` is
       small, else after all iterations.
@@ -44,8 +47,8 @@ class ReachStatus(enum.IntEnum):
 
 @functools.partial(
     jax.tree_util.register_dataclass,
-    data_fields=["x", "status", "distance", "angle", "at_limit", "slope", "minima", "seeds"],
-    meta_fields=["frames", "joints"],
+    data_fields=["x", "status", "distance", "angle", "at_limit", "slope", "minima", "seeds", "constraints"],
+    meta_fields=["frames", "joints", "constraint_names"],
 )
 @dataclasses.dataclass(frozen=True)
 class ReachResult:
@@ -61,8 +64,10 @@ class ReachResult:
             zero. It says nothing where the target is reached.
         minima: (...,): how many seeds ended at a local minimum.
         seeds: (...,): how many seeds were tried.
+        constraints: (..., k): residuals, at most zero where the constraints hold.
         frames: names, in the order of the last axis of `distance`.
         joints: by freedom the name of its joint.
+        constraint_names: of each residual.
     """
 
     x: dict[str, jax.Array]
@@ -73,8 +78,10 @@ class ReachResult:
     slope: jax.Array
     minima: jax.Array
     seeds: jax.Array
+    constraints: jax.Array
     frames: tuple[str, ...]
     joints: tuple[str, ...]
+    constraint_names: tuple[str, ...]
 
     def stopped_by(self, *index: SupportsIndex) -> tuple[str, ...]:
         """The joints whose limits stop the best seed of one target."""
@@ -83,12 +90,20 @@ class ReachResult:
             raise InputError(f"stopped_by expects an index into {stopped.shape[:-1]}, got {index}")
         return tuple(dict.fromkeys(self.joints[i] for i in np.flatnonzero(stopped[index])))
 
+    def broken(self, *index: SupportsIndex, tolerance: float = 1e-5) -> tuple[str, ...]:
+        """The constraints that the positions for one target break by more than a tolerance."""
+        over = np.flatnonzero(np.asarray(self.constraints[index]) > tolerance)
+        return tuple(dict.fromkeys(self.constraint_names[i] for i in over))
+
 
 @watching("reach")
 def reach(
     mechanism: KinematicTree,
     targets: Mapping[str, Any],
     *,
+    tasks: Iterable[Task] = (),
+    secondary: Iterable[Task] = (),
+    constraints: Any = (),
     start: Mapping[str, Any] | None = None,
     seeds: int = 8,
     candidates: int = 64,
@@ -108,13 +123,22 @@ def reach(
     are those of the nearest solution, $dx = J^+ de$, where the target is reached, and zero elsewhere. The random
     positions are the same in every call.
 
+    Further `tasks` are done as the targets are, and the error of a constraint $c(q) <= 0$ is $max(c, 0)$. Where all of
+    that is reached, steps along its solutions make the errors of `secondary` tasks smaller, by their weights, to a
+    local minimum or until the iterations end.
+
     Source: T. Sugihara, Solvability-Unconcerned Inverse Kinematics by the Levenberg-Marquardt Method, IEEE Transactions
     on Robotics 27 (2011), equations 14 to 18; C. Kanzow, N. Yamashita, M. Fukushima, Levenberg-Marquardt Methods with
     Strong Local Convergence Properties for Solving Nonlinear Equations with Convex Constraints (2004), for limits.
 
     Args:
         mechanism: a tree or a chain without closures.
-        targets: by frame, poses (..., 4, 4) or positions (..., 3) in the base; all with the same leading axes.
+        targets: by frame, poses (..., 4, 4) or positions (..., 3) in the base; all with the same leading axes. They may
+            be empty where there are tasks.
+        tasks: further ones with targets of numbers, such as `CenterOfMassTask`, `LookAtTask`; done where the weighted
+            error is at most `position_tolerance`.
+        secondary: tasks of the second priority, such as `PostureTask`.
+        constraints: inequalities of positions, such as {"shelf": signed_distance(...) >= 0.02}.
         start: positions by state that the first seed takes, with the leading axes of the targets or none.
         seeds: how many seeds are tried for a target.
         candidates: how many random positions each seed is chosen from.
@@ -123,14 +147,15 @@ def reach(
         iterations: of one seed, at most.
     Raises:
         ModelError: a frame that is not known; closures; joints on other groups than SO(3) and SE(3); a mechanism in
-            which nothing moves.
+            which nothing moves; tasks whose targets are Controls; constraints that are no inequalities of positions.
         InputError: targets or start of other shapes, or not finite; numbers out of their range.
 
     Example:
         `reach(arm, {"flange": tx.pose(position=[0.4, 0.1, 0.5])}).x["q"]`
     """
     checked("reach", mechanism)
-    arrays, leading = _targets(mechanism, targets)
+    tasks, secondary = tuple(tasks), tuple(secondary)
+    arrays, leading = _targets(mechanism, targets, bool(tasks))
     for name, value in (("seeds", seeds), ("candidates", candidates), ("iterations", iterations)):
         whole(f"reach: {name}", value, 1)
     for name, size in (
@@ -141,14 +166,17 @@ def reach(
         number(f"reach: {name}", size, "a positive number", lambda x: 0.0 < x < np.inf)
     shapes = tuple((name, value.shape[1:]) for name, value in arrays.items())
     options = SearchOptions(float(position_tolerance), float(angle_tolerance), iterations)
-    search = _Reacher.of(mechanism, shapes, float(length), options, seeds, candidates)
-    first = None if start is None else _start(search.tasks, start, leading)
+    named = tuple(constraints_by_name(constraints).items())
+    search = _Reacher.of(mechanism, shapes, float(length), options, seeds, candidates, tasks, secondary, named)
+    first = None if start is None else _start(search.errors.space, start, leading)
     return jax.tree.map(lambda a: a.reshape(*leading, *a.shape[1:]), search(arrays, first))
 
 
-def _targets(mechanism: KinematicTree, targets: Mapping[str, Any]) -> tuple[Arrays, tuple[int, ...]]:
+def _targets(
+    mechanism: KinematicTree, targets: Mapping[str, Any], may_be_empty: bool
+) -> tuple[Arrays, tuple[int, ...]]:
     """The targets (count, ...), and their leading axes. Raises InputError."""
-    if not isinstance(targets, Mapping) or not targets:
+    if not isinstance(targets, Mapping) or not (targets or may_be_empty):
         raise InputError(f"reach expects targets by the names of frames, got {short(targets)}")
     arrays, leading = Arrays(), dict[str, tuple[int, ...]]()
     for frame, value in targets.items():
@@ -166,7 +194,7 @@ def _targets(mechanism: KinematicTree, targets: Mapping[str, Any]) -> tuple[Arra
             _check(frame, np.asarray(arrays[frame]))
     if len(set(leading.values())) > 1:
         raise InputError(f"reach expects targets with the same leading axes, got {leading}")
-    return arrays, next(iter(leading.values()))
+    return arrays, next(iter(leading.values()), ())
 
 
 def _check(frame: str, T: np.ndarray) -> None:
@@ -185,12 +213,12 @@ def _check(frame: str, T: np.ndarray) -> None:
             )
 
 
-def _start(tasks: Tasks, start: Mapping[str, Any], leading: tuple[int, ...]) -> Arrays:
+def _start(space: ConfigurationSpace, start: Mapping[str, Any], leading: tuple[int, ...]) -> Arrays:
     """The first seed of each target. Raises InputError."""
-    if set(start) != set(tasks.names):
-        raise InputError(f"reach: start expects {listed(tasks.names)}, got {listed(start)}")
+    if set(start) != set(space.names):
+        raise InputError(f"reach: start expects {listed(space.names)}, got {listed(start)}")
     count, arrays = math.prod(leading), Arrays()
-    for state in tasks.states:
+    for state in space.states:
         real_array(f"reach: start of {state.name!r}", start[state.name])
         value = jnp.asarray(start[state.name])
         if not is_traced(value) and not np.isfinite(np.asarray(value)).all():
@@ -213,20 +241,27 @@ class _Reacher:
         options: SearchOptions,
         seeds: int,
         candidates: int,
+        tasks: tuple[Task, ...],
+        secondary: tuple[Task, ...],
+        constraints: tuple[tuple[str, Any], ...],
     ) -> None:
-        self.tasks, self._options, self._seeds = Tasks(mechanism, dict(shapes), length), options, seeds
+        self.errors = ReachErrors(mechanism, dict(shapes), length, tasks, secondary, dict(constraints))
+        self._options, self._seeds = options, seeds
         self._frames = tuple(name for name, _ in shapes)
-        freedoms = {i: s.link.joint.name for s in reversed(mechanism.segments) for i in s.freedoms}
-        self._joints = tuple(freedoms[i] for i in range(mechanism.dofs))
-        pool = self.tasks.random(np.random.default_rng(0), seeds * candidates)
-        forward = lower({name: mechanism.pose(name) for name in self._frames})
-        with jax.ensure_compile_time_eval():  # the first call may be one that is traced
-            poses = jax.jit(jax.vmap(lambda x: forward(0.0, x)))(pool)
+        sizes = self.errors.constraints.sizes
+        self._constraints = tuple(name for name, size in sizes.items() for _ in range(size))
+        pool = self.errors.space.random(np.random.default_rng(0), seeds * candidates)
+        poses = dict[str, Any]()
+        if shapes:
+            forward = lower({name: mechanism.pose(name) for name in self._frames})
+            with jax.ensure_compile_time_eval():  # the first call may be one that is traced
+                poses = jax.jit(jax.vmap(lambda x: forward(0.0, x)))(pool)
         self._pool = {name: value.reshape(seeds, candidates, *value.shape[1:]) for name, value in pool.items()}
-        self._features = np.concatenate([self._feature(name, np.asarray(poses[name])) for name in self._frames], axis=1)
-        search = SeededSearch(self.tasks, options)
-        self._solve, self._search = search.solve, part_of_package(search.one)
-        self._call = jax.jit(self._all)
+        parts = [self._feature(name, np.asarray(poses[name])) for name in self._frames]
+        self._features = np.concatenate([np.zeros((seeds * candidates, 0)), *parts], axis=1)
+        self._search = SeededSearch(self.errors, options)
+        self._one = part_of_package(self._search.one)
+        self._call = jax.jit(self._all, static_argnums=2)
 
     @staticmethod
     @functools.lru_cache(maxsize=32)
@@ -235,7 +270,7 @@ class _Reacher:
         return _Reacher(*arguments)
 
     def __call__(self, targets: Arrays, start: Arrays | None) -> ReachResult:
-        result: ReachResult = self._call(targets, start)
+        result: ReachResult = self._call(targets, start, len(next(iter(targets.values()), [None])))
         return result
 
     def _feature(self, frame: str, T: Any) -> Any:
@@ -243,63 +278,59 @@ class _Reacher:
         pose = dict(zip(self._frames, self._kinds(), strict=True))[frame]
         if not pose:
             return T[:, :3, 3] if T.ndim == 3 else T
-        turned = T[:, :3, :3].reshape(len(T), 9) * (self.tasks.length * math.sqrt(0.5))
+        turned = T[:, :3, :3].reshape(len(T), 9) * (self.errors.length * math.sqrt(0.5))
         return (jnp if is_traced(T) else np).concatenate([T[:, :3, 3], turned], axis=1)
 
     def _kinds(self) -> list[bool]:
         """For each frame whether its target is a pose."""
-        return [shape == (4, 4) for shape in self.tasks.shapes.values()]
+        return [shape == (4, 4) for shape in self.errors.shapes.values()]
 
-    def _chosen(self, targets: Arrays) -> Arrays:
+    def _chosen(self, targets: Arrays, count: int) -> Arrays:
         """The best candidate of each seed, (count, seeds, ...)."""
-        wanted = jnp.concatenate([self._feature(name, targets[name]) for name in self._frames], axis=1)
+        parts = [self._feature(name, targets[name]) for name in self._frames]
+        wanted = jnp.concatenate(parts, axis=1) if parts else jnp.zeros((count, 0))
         features = jnp.asarray(self._features, dtype=wanted.dtype)
         far = jnp.sum(features**2, axis=1)[None] - 2.0 * wanted @ features.T  # but for what all candidates share
-        best = jnp.argmin(far.reshape(len(wanted), self._seeds, features.shape[0] // self._seeds), axis=2)
+        best = jnp.argmin(far.reshape(count, self._seeds, features.shape[0] // self._seeds), axis=2)
         rows = jnp.arange(self._seeds)[None]
         return {name: jnp.asarray(value, dtype=wanted.dtype)[rows, best] for name, value in self._pool.items()}
 
-    def _all(self, targets: Arrays, start: Arrays | None) -> ReachResult:
+    def _all(self, targets: Arrays, start: Arrays | None, count: int) -> ReachResult:
         # Derivatives go through the last step alone.
         still = jax.tree.map(jax.lax.stop_gradient, targets)
-        seeds = self._chosen(still)
+        seeds = self._chosen(still, count)
         if start is not None:
             seeds = {n: s.at[:, 0].set(jax.lax.stop_gradient(start[n]).astype(s.dtype)) for n, s in seeds.items()}
-        solution: SearchEnd = jax.vmap(self._search)(still, seeds)
+        solution: SearchEnd = jax.vmap(self._one)(still, seeds)
         solution = jax.tree.map(jax.lax.stop_gradient, solution)
         return jax.vmap(self._polished)(targets, solution)
 
     def _polished(self, targets: Arrays, solution: SearchEnd) -> ReachResult:
         """One target: a last step of Gauss and Newton where it is reached, and what there is to say."""
-        distance, angle = self._measures(solution.error)
-        reached = self._within(distance, angle)
-        e, J = self.tasks.errors(solution.x, targets)
+        reached = self._search.reached(solution.error)
+        e, J = self.errors(solution.x, targets)
         open_J = jax.lax.stop_gradient(jnp.where(solution.free[None], J, 0.0))
-        G = open_J @ open_J.T
-        G = G + np.finfo(e.dtype).eps * jnp.trace(G) * np.eye(len(self.tasks.ends), dtype=e.dtype)
-        step = open_J.T @ self._solve(G, e)
-        step = jnp.where(reached, step, 0.0)
+        mu = np.finfo(e.dtype).eps * jnp.sum(open_J * open_J)
+        step = jnp.where(reached, self._search.least_squares(open_J, e, mu), 0.0)
         # Near a singular position the step may lead away: then its derivatives are kept, and it is not taken.
-        after, _ = self.tasks.errors(jax.lax.stop_gradient(self.tasks.moved(solution.x, step)), targets)
-        worse = (jnp.sum(after * after) > jnp.sum(e * e)) | ~self._within(*self._measures(after))
-        x = self.tasks.moved(solution.x, step - jax.lax.stop_gradient(jnp.where(worse, step, 0.0)))
-        distance, angle = self._measures(self.tasks.errors(x, targets)[0])
+        after, _ = self.errors(jax.lax.stop_gradient(self.errors.space.moved(solution.x, step)), targets)
+        worse = (jnp.sum(after * after) > jnp.sum(e * e)) | ~self._search.reached(after)
+        x = self.errors.space.moved(solution.x, step - jax.lax.stop_gradient(jnp.where(worse, step, 0.0)))
+        distance, angle = self._measures(self.errors(x, targets)[0])
         at_limit = ~solution.free & ~reached
         missed = jnp.where(jnp.any(at_limit), int(ReachStatus.LIMIT), int(ReachStatus.UNREACHABLE))
         status = jnp.where(reached, int(ReachStatus.REACHED), missed)
-        measures = (solution.slope, solution.minima, solution.seeds)
-        return ReachResult(x, status, distance, angle, at_limit, *measures, self._frames, self._joints)
+        measures = (solution.slope, solution.minima, solution.seeds, self.errors.constraints.values(x, {}, {}))
+        names = (self._frames, self.errors.space.joints, self._constraints)
+        return ReachResult(x, status, distance, angle, at_limit, *measures, *names)
 
     def _measures(self, error: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Distances in m and angles in rad, (frames,)."""
         distances, angles, row = list[Any](), list[Any](), 0
         for pose in self._kinds():
             distances.append(jnp.linalg.norm(error[row : row + 3]))
-            turn = jnp.linalg.norm(error[row + 3 : row + 6]) / self.tasks.length if pose else jnp.zeros_like(error[0])
+            turn = jnp.linalg.norm(error[row + 3 : row + 6]) / self.errors.length if pose else jnp.zeros_like(error[0])
             angles.append(turn)
             row += 6 if pose else 3
-        return jnp.stack(distances), jnp.stack(angles)
-
-    def _within(self, distance: jax.Array, angle: jax.Array) -> jax.Array:
-        near = jnp.all(distance <= self._options.position_tolerance)
-        return near & jnp.all(angle <= self._options.angle_tolerance)
+        nothing = jnp.zeros(0, error.dtype)
+        return (jnp.stack(distances), jnp.stack(angles)) if distances else (nothing, nothing)

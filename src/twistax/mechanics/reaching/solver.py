@@ -9,13 +9,14 @@ A seed ends at a minimum: where the part of J^T e that limits do not stop vanish
 
 Source: K. Levenberg, Quarterly of Applied Mathematics 2 (1944); T. Sugihara, IEEE Transactions on Robotics 27 (2011),
 for a damping in proportion to |e|^2; C. Kanzow and others, J. of Computational and Applied Mathematics 172 (2004), for
-steps that are projected.
+steps that are projected; B. Siciliano, J.-J. Slotine, A general framework for managing multiple tasks in highly
+redundant robotic systems, ICAR (1991), for tasks along the solutions of others.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -23,7 +24,8 @@ import numpy as np
 
 from ...expr import Solve, State
 from ...system.lower import lower
-from .tasks import Arrays, Tasks
+from ..tasks.configuration_space import Arrays
+from .errors import ReachErrors
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,11 +34,12 @@ class SearchOptions:
 
     Attributes:
         position_tolerance: m; angle_tolerance: rad; of each frame.
-        iterations: of one seed, at most.
+        iterations: of one seed, at most, and of the secondary tasks.
         flat: the share of |J|_F |e| below which the slope of |e| is zero: the seed is at a minimum.
         damping: of the first step, as a share of |e|^2.
         grow, shrink: factors of the damping after a step that is refused, and one that is kept.
         least, most: bounds of the damping as a share of |e|^2; beyond the upper one the seed is at a minimum.
+        first_share, last_share: of |e|^2 of secondary tasks beside that of the others, at their first and last step.
     """
 
     position_tolerance: float
@@ -48,6 +51,8 @@ class SearchOptions:
     shrink: float = 0.2
     least: float = 1e-6
     most: float = 1e6
+    first_share: float = 1e-2
+    last_share: float = 1e-7
 
 
 class SearchEnd(NamedTuple):
@@ -76,32 +81,51 @@ class SearchState(NamedTuple):
 
 
 class SeededSearch:
-    """The search for one target, of the errors of its frames.
+    """The search for one target, of the errors of its frames."""
 
-    Attributes:
-        solve: (G, e) -> G^-1 e.
-    """
-
-    def __init__(self, tasks: Tasks, options: SearchOptions) -> None:
-        self._tasks, self._options = tasks, options
-        rows = len(tasks.ends)
-        solved = lower(Solve(State("G", (rows, rows)), State("e", (rows,))))
-        self.solve = lambda G, e: solved(0.0, {"G": G, "e": e})
+    def __init__(self, errors: ReachErrors, options: SearchOptions) -> None:
+        self._errors, self._options = errors, options
+        self._solves: dict[int, Any] = {}
 
     def one(self, targets: Arrays, seeds: Arrays) -> SearchEnd:
         """The best positions for targets, from seeds (count, ...)."""
         count = next(iter(seeds.values())).shape[0]
         start = {name: value[0] for name, value in seeds.items()}
-        e, J = self._tasks.errors(start, targets)
+        e, J = self._errors(start, targets)
         zero, damping = jnp.zeros((), dtype=jnp.int32), jnp.asarray(self._options.damping, e.dtype)
         last = jax.lax.while_loop(
-            lambda s: (s.seed < count) & ~self._reached(s.e),
+            lambda s: (s.seed < count) & ~self.reached(s.e),
             lambda s: self._next(s, targets, seeds, count),
             SearchState(start, e, J, damping, zero, zero, zero, zero, start, jnp.sum(e * e)),
         )
-        e, J = self._tasks.errors(last.best, targets)
-        free, share = self._steepness(last.best, e, J)
-        return SearchEnd(last.best, e, free, share, last.minima, jnp.minimum(last.seed + 1, count), last.steps)
+        x = self._improved(last.best, targets) if self._errors.has_secondary else last.best
+        e, J = self._errors(x, targets)
+        free, share = self._steepness(x, e, J)
+        return SearchEnd(x, e, free, share, last.minima, jnp.minimum(last.seed + 1, count), last.steps)
+
+    def least_squares(self, J: jax.Array, e: jax.Array, mu: Any) -> jax.Array:
+        """The minimum of $|e - J d|^2 + mu |d|^2$, by the smaller of two systems of equations."""
+        rows, n = J.shape
+        if rows <= n:
+            return J.T @ self._solve(J @ J.T + mu * np.eye(rows, dtype=e.dtype), e)
+        return self._solve(J.T @ J + mu * np.eye(n, dtype=e.dtype), J.T @ e)
+
+    def reached(self, e: jax.Array) -> jax.Array:
+        """Whether every position, every turn, every task and every constraint is within its tolerance."""
+        options = self._options
+        turn = options.angle_tolerance * self._errors.length
+        within = [
+            jnp.sum(e[block] ** 2) <= (turn if is_turn else options.position_tolerance) ** 2
+            for block, is_turn in zip(self._errors.blocks, self._errors.turns, strict=True)
+        ]
+        return jnp.all(jnp.stack(within))
+
+    def _solve(self, G: jax.Array, e: jax.Array) -> jax.Array:
+        size = len(e)
+        if size not in self._solves:
+            self._solves[size] = lower(Solve(State("G", (size, size)), State("e", (size,))))
+        solution: jax.Array = self._solves[size](0.0, {"G": G, "e": e})
+        return solution
 
     def _next(self, s: SearchState, targets: Arrays, seeds: Arrays, count: int) -> SearchState:
         """One step, or the next seed."""
@@ -112,7 +136,7 @@ class SeededSearch:
         seed = s.seed + ended.astype(jnp.int32)
         fresh = {name: value[jnp.minimum(seed, count - 1)] for name, value in seeds.items()}
         trial = {name: jnp.where(ended, fresh[name], value) for name, value in self._stepped(s, free).items()}
-        e, J = self._tasks.errors(trial, targets)
+        e, J = self._errors(trial, targets)
         before, after = jnp.sum(s.e * s.e), jnp.sum(e * e)
         kept = ended | (after < before)
         damping = jnp.where(kept, jnp.maximum(s.damping * options.shrink, options.least), s.damping * options.grow)
@@ -131,23 +155,46 @@ class SeededSearch:
         )
 
     def _stepped(self, s: SearchState, free: jax.Array) -> Arrays:
-        open_J = jnp.where(free[None], s.J, 0.0)
         mu = s.damping * jnp.sum(s.e * s.e) + np.finfo(s.e.dtype).eps * jnp.sum(s.J * s.J)
-        G = open_J @ open_J.T + mu * np.eye(len(s.e), dtype=s.e.dtype)
-        return self._tasks.moved(s.x, open_J.T @ self.solve(G, s.e))
-
-    def _reached(self, e: jax.Array) -> jax.Array:
-        """Whether every position and every turn is within its tolerance."""
-        turn = self._options.angle_tolerance * self._tasks.length
-        within = [
-            jnp.sum(e[i : i + 3] ** 2) <= (self._options.position_tolerance if self._tasks.ends[i] else turn) ** 2
-            for i in range(0, len(self._tasks.ends), 3)
-        ]
-        return jnp.all(jnp.stack(within))
+        return self._errors.space.moved(s.x, self.least_squares(jnp.where(free[None], s.J, 0.0), s.e, mu))
 
     def _steepness(self, x: Arrays, e: jax.Array, J: jax.Array) -> tuple[jax.Array, jax.Array]:
         """The freedoms that may follow the slope of |e|^2, and its length as a share of |J| |e|."""
         slope = J.T @ e
-        free = self._tasks.free(x, slope)
+        free = self._errors.space.free(x, slope)
         size = jnp.maximum(jnp.sum(J * J) * jnp.sum(e * e), np.finfo(e.dtype).tiny)
         return free, jnp.sqrt(jnp.sum(jnp.where(free, slope, 0.0) ** 2) / size)
+
+    # ---- secondary tasks ---------------------------------------------------------------------------------------------
+
+    def _improved(self, x: Arrays, targets: Arrays) -> Arrays:
+        """Positions from x on at which secondary tasks have a smaller error; x where it reaches no target.
+
+        Steps of damped least squares of $|e|^2 + s |e_2|^2$, with the share s of the secondary tasks falling to nearly
+        zero: they move along the solutions of the others.
+        """
+        options, count = self._options, self._options.iterations
+        e, J = self._errors(x, targets)
+        e2, J2 = self._errors.secondary(x)
+        first, last = np.log(options.first_share), np.log(options.last_share)
+
+        def step(k: jax.Array, carry: Any) -> Any:
+            x, damping, e, J, e2, J2 = carry
+            share = jnp.exp(first + (last - first) * (k.astype(e.dtype) / max(count - 1, 1))).astype(e.dtype)
+            slope = J.T @ e + share * (J2.T @ e2)
+            free = self._errors.space.free(x, slope)
+            G = jnp.where(free[:, None] & free[None], J.T @ J + share * (J2.T @ J2), 0.0)
+            mu = damping * share * jnp.sum(e2 * e2) + np.finfo(e.dtype).eps * (jnp.sum(J * J) + 1.0)
+            d = self._solve(G + mu * np.eye(len(slope), dtype=e.dtype), jnp.where(free, slope, 0.0))
+            trial = self._errors.space.moved(x, d)
+            after, after2 = self._errors(trial, targets), self._errors.secondary(trial)
+            before = jnp.sum(e * e) + share * jnp.sum(e2 * e2)
+            kept = jnp.sum(after[0] ** 2) + share * jnp.sum(after2[0] ** 2) < before
+            damping = jnp.where(kept, jnp.maximum(damping * options.shrink, options.least), damping * options.grow)
+            now = [jnp.where(kept, new, old) for new, old in zip((*after, *after2), (e, J, e2, J2), strict=True)]
+            return {name: jnp.where(kept, trial[name], value) for name, value in x.items()}, damping, *now
+
+        start = (x, jnp.asarray(options.damping, e.dtype), e, J, e2, J2)
+        improved, _, at_end, _, smaller, _ = jax.lax.fori_loop(0, count, step, start)
+        kept = self.reached(e) & self.reached(at_end) & (jnp.sum(smaller**2) < jnp.sum(e2**2))
+        return {name: jnp.where(kept, improved[name], value) for name, value in x.items()}

@@ -1,5 +1,5 @@
 /* Products of small column-major matrices. */
-#include "work.h"
+#include "dense.h"
 
 /* C += A B, with A (m, k), B (k, n). Four columns of A at a time: one pass over a column of C for four multiplications. */
 void twx_add_product(int32_t m, int32_t n, int32_t k, const double *restrict A, int32_t la, const double *restrict B,

@@ -6,8 +6,8 @@
  */
 #ifndef TWX_QP_WORK_H
 #define TWX_QP_WORK_H
+#include "dense.h"
 #include "qp.h"
-#include "work.h"
 
 typedef struct { /* a point and what is computed from it */
   double *x, *z;          /* (n), (constraints): multipliers, positive at upper bounds */

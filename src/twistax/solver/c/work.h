@@ -2,12 +2,7 @@
 #ifndef TWX_WORK_H
 #define TWX_WORK_H
 #include "core.h"
-#include <math.h>
-#include <string.h>
-
-#ifndef TWX_INTERNAL /* `static` where all files are one */
-#define TWX_INTERNAL extern
-#endif
+#include "dense.h"
 
 #define TWX_EPSILON 2.220446049250313e-16
 #define TWX_FILTER_ROWS 400
@@ -62,8 +57,6 @@ typedef struct {
   double softening, border_softness, local_softness; /* of equalities that depend on each other */
 } twx_work;
 
-static inline double twx_max(double a, double b) { return a > b ? a : b; } /* b where a is not a number */
-static inline double twx_min(double a, double b) { return a < b ? a : b; }
 static inline int twx_has(double bound) { return isfinite(bound); }
 /* Distances from bounds. */
 static inline double twx_below(const twx_work *w, const double *v, size_t i) {
@@ -77,14 +70,6 @@ static inline double twx_above(const twx_work *w, const double *v, size_t i) {
   for (int32_t k = 0; k <= (w)->N; k++) \
     for (const twx_stage *stage = (w)->stages + k; stage; stage = NULL)
 #define FOR_FREE(w, i) for (size_t i = 0; i < (w)->variables; i++) if ((w)->free[i] != 0)
-
-/* dense.c: C += A B, C += A' B, y += A x, y += A' x. */
-TWX_INTERNAL void twx_add_product(int32_t m, int32_t n, int32_t k, const double *A, int32_t la, const double *B, int32_t lb, double *C, int32_t lc);
-TWX_INTERNAL void twx_add_product_transposed(int32_t m, int32_t n, int32_t k, const double *A, int32_t la, const double *B, int32_t lb, double *C, int32_t lc);
-TWX_INTERNAL void twx_add_dots(int32_t m, int32_t k, double factor, const double *A, int32_t la, const double *b, double *out, int32_t stride);
-TWX_INTERNAL void twx_add_sums(int32_t m, int32_t k, double factor, const double *A, int32_t la, const double *b, double *out);
-TWX_INTERNAL void twx_add_apply(int32_t m, int32_t n, const double *A, int32_t la, const double *x, double *y);
-TWX_INTERNAL void twx_add_apply_transposed(int32_t m, int32_t n, const double *A, int32_t la, const double *x, double *y);
 
 /* symmetric.c: a factor in memory of `twx_factor_size` doubles, n (n + 3) of them. */
 typedef struct {

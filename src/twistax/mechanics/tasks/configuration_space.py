@@ -1,19 +1,9 @@
-"""The task errors of frames as functions of arrays: errors, their Jacobian, steps of the joints, and limits.
-
-With the pose [R p] of a frame and its target [R_d p_d] the error is
-
-    e = [p_d - p; l Log(R^T R_d)]        e' = -J qd,  J = [J_v; l J_w]
-
-with J_v in the axes of the base and J_w in those of the frame; the second row holds to first order in the error, and
-for the gradient of |e|^2 it is exact: Log(R^T R_d) is an eigenvector of the Jacobian that is left out.
-
-Source: K. Lynch, F. Park, Modern Robotics (2017), section 6.2, for the error of a pose.
-"""
+"""The positions of a mechanism as arrays: their limits, steps along velocities, and random ones."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+import functools
 from typing import Any
 
 import jax
@@ -23,11 +13,10 @@ from numpy.typing import NDArray
 
 from ...checks import listed
 from ...errors import ModelError
-from ...expr import Concat, Expr, State, Vstack
-from ...expr.lie import Compose, SE3Exp, SO3Exp, SO3Log
+from ...expr import Concat, Constant, Expr, Stack, State
+from ...expr.lie import Compose, SE3Exp, SO3Exp
 from ...groups import SE3, SO3
 from ...system.lower import lower
-from ..algorithms.jacobians import ALIGNED, BODY, frame_jacobian
 from ..kinematic_tree import KinematicTree
 
 Arrays = dict[str, Any]
@@ -41,7 +30,7 @@ class CoordinateLimits:
     upper: NDArray[np.float64]
 
     @classmethod
-    def of(cls, mechanism: KinematicTree, width: int) -> CoordinateLimits:
+    def of(cls, owner: str, mechanism: KinematicTree, width: int) -> CoordinateLimits:
         """Those of the joints; a follower's are those of its leader, through the ratio."""
         lower, upper = np.full(width, -np.inf), np.full(width, np.inf)
         for segment in mechanism.segments:
@@ -56,36 +45,34 @@ class CoordinateLimits:
             s.link.joint.name for s in mechanism.segments if s.coordinates and np.any((lower > upper)[s.coordinates])
         ]
         if empty:
-            raise ModelError(f"reach: the limits of {listed(empty)} and of what follows exclude each other")
+            raise ModelError(f"{owner}: the limits of {listed(empty)} and of what follows exclude each other")
         return cls(lower, upper)
 
 
-class Tasks:
-    """The errors of frames of a mechanism.
+class ConfigurationSpace:
+    """The positions of a mechanism without closures.
 
     Args:
-        mechanism: without closures.
-        shapes: by frame (4, 4) for a pose, (3,) for a position.
-        length: l, m.
+        owner: for messages.
     Attributes:
-        names: of the states of the positions.
+        states: of the positions; names: theirs.
         width: the number of coordinates in q.
         coordinates: for each freedom the coordinate that it moves, -1 on groups.
+        joints: by freedom the name of its joint.
         limits: of the coordinates.
-        ends: for each row of the error whether it is of a position.
-    Raises: ModelError for frames that are not known; a mechanism with closures, or joints on other groups.
+    Raises: ModelError for a mechanism with closures, joints on other groups, or limits that exclude each other.
     """
 
-    def __init__(self, mechanism: KinematicTree, shapes: Mapping[str, tuple[int, ...]], length: float) -> None:
+    def __init__(self, owner: str, mechanism: KinematicTree) -> None:
         if mechanism.loops:
             raise ModelError(
-                f"reach does not keep closures: {listed(loop.name for loop in mechanism.loops)}.\n"
+                f"{owner} does not keep closures: {listed(loop.name for loop in mechanism.loops)}.\n"
                 "  fix: replace(loops=()) where they may open"
             )
         unsupported = [s.link.joint for s in mechanism.segments if s.link.joint.group not in (None, SO3, SE3)]
         if unsupported:
-            raise ModelError(f"reach moves joints on SO(3) and SE(3), got {listed(unsupported)} on other groups")
-        self.mechanism, self.shapes, self.length = mechanism, dict(shapes), length
+            raise ModelError(f"{owner} moves joints on SO(3) and SE(3), got {listed(unsupported)} on other groups")
+        self.owner, self.mechanism = owner, mechanism
         q = mechanism.q
         self.states: list[State] = [q] if isinstance(q, State) else list(q.values())
         self.names = [state.name for state in self.states]
@@ -94,24 +81,36 @@ class Tasks:
         for segment in mechanism.segments:
             if segment.coordinates is not None:
                 self.coordinates[list(segment.freedoms)] = np.arange(self.width)[segment.coordinates]
-        self.limits = CoordinateLimits.of(mechanism, self.width)
-        self.ends = np.concatenate([[True] * 3 + [False] * (3 * (shape == (4, 4))) for shape in shapes.values()])
-        self._errors, self._steps = self._lowered()
+        leaders = {i: s.link.joint.name for s in reversed(mechanism.segments) for i in s.freedoms}
+        self.joints = tuple(leaders[i] for i in range(mechanism.dofs))
+        self.limits = CoordinateLimits.of(owner, mechanism, self.width)
 
-    def _lowered(self) -> tuple[Any, Any]:
-        """Functions of the positions: errors and Jacobian, and positions after a step."""
-        errors: list[Expr] = []
-        rows: list[Expr] = []
-        for frame, shape in self.shapes.items():
-            T, target = self.mechanism.pose(frame), State(f"target of {frame}", shape)
-            pose = shape == (4, 4)
-            errors.append((target[:3, 3] if pose else target) - T[:3, 3])
-            rows.append(frame_jacobian(self.mechanism, frame, axes=ALIGNED)[:3])
-            if pose:
-                errors.append(self.length * SO3Log(T[:3, :3].T @ target[:3, :3]))
-                rows.append(self.length * frame_jacobian(self.mechanism, frame, axes=BODY)[3:])
+    @property
+    def vector(self) -> Expr:
+        """The coordinates q (w,). Raises ModelError where all joints are on groups."""
+        if not self.width:
+            raise ModelError(f"{self.owner} expects joints with coordinates, got joints on groups alone")
+        return next(state for state in self.states if state.name == "q")
+
+    @property
+    def coordinate_rates(self) -> Expr:
+        """S (w, n): $q' = S qd$."""
+        mechanism, zero = self.mechanism, np.zeros(self.width)
+        columns: list[Expr] = [Constant(zero)] * mechanism.dofs
+        places = mechanism.positions(self.owner, None)
+        for segment, place in zip(mechanism.segments, places, strict=True):
+            if segment.coordinates is None or segment.link.mimic is not None:
+                continue
+            at = segment.coordinates
+            for k, i in enumerate(segment.freedoms):
+                rate = segment.link.joint.rate(place, Constant(np.eye(len(segment.freedoms))[k]))
+                columns[i] = Concat(np.zeros(at.start), rate, np.zeros(self.width - at.stop))
+        return Stack(*columns).T
+
+    @functools.cached_property
+    def _step(self) -> Any:
         step = State("step", (self.mechanism.dofs,))
-        places = self.mechanism.positions("reach", None)
+        places = self.mechanism.positions(self.owner, None)
         moved, vector = dict[str, Expr](), dict[int, Expr]()
         for segment, place in zip(self.mechanism.segments, places, strict=True):
             if segment.link.mimic is not None or not segment.freedoms:
@@ -125,32 +124,34 @@ class Tasks:
                 moved[f"{joint.name}_position"] = Compose(place, exp(d))
         if vector:
             moved["q"] = Concat(*(vector[i] for i in sorted(vector)))
-        return lower([Concat(*errors), Vstack(*rows)]), lower(moved)
+        return lower(moved)
 
-    def errors(self, x: Arrays, targets: Arrays) -> tuple[jax.Array, jax.Array]:
-        """The errors (m,) and the Jacobian J (m, n): their rate is -J qd."""
-        e, J = self._errors(0.0, {**x, **{f"target of {frame}": T for frame, T in targets.items()}})
-        return e, J
+    def after(self, x: Arrays, step: jax.Array) -> Arrays:
+        """The positions after a step (n,) of the velocities."""
+        return dict(self._step(0.0, {**x, "step": step}))
 
     def moved(self, x: Arrays, step: jax.Array) -> Arrays:
-        """The positions after a step (n,) of the velocities, within limits."""
-        after = dict(self._steps(0.0, {**x, "step": step}))
+        """The positions after a step (n,) of the velocities, cut at the limits."""
+        after = self.after(x, step)
         if self.width:
             dtype = after["q"].dtype
             after["q"] = jnp.clip(after["q"], self.limits.lower.astype(dtype), self.limits.upper.astype(dtype))
         return after
 
+    def margins(self, x: Arrays, dtype: Any) -> tuple[jax.Array, jax.Array]:
+        """How far each freedom (n,) is above its lower limit and below its upper one; infinite without limits."""
+        flat = self.coordinates
+        q = jnp.append(x["q"], jnp.zeros(1, dtype))[flat] if self.width else jnp.zeros(len(flat), dtype)
+        lower, upper = (
+            (np.append(bound, end)[flat] if self.width else np.full(len(flat), end)).astype(dtype)
+            for bound, end in ((self.limits.lower, -np.inf), (self.limits.upper, np.inf))
+        )
+        return q - lower, jnp.asarray(upper) - q
+
     def free(self, x: Arrays, slope: jax.Array) -> jax.Array:
         """Which freedoms (n,) may follow the direction of descent: those not at a limit beyond which it points."""
-        if not self.width:
-            return jnp.ones(self.mechanism.dofs, dtype=bool)
-        dtype, flat = slope.dtype, self.coordinates
-        lower, upper = (
-            np.append(bound, end)[flat] for bound, end in ((self.limits.lower, -1.0), (self.limits.upper, 1.0))
-        )
-        at = jnp.append(x["q"], jnp.zeros(1, dtype=dtype))[flat]  # zero between -1 and 1 for what is on a group
-        above = (at > lower.astype(dtype)) | (slope > 0.0)
-        return above & ((at < upper.astype(dtype)) | (slope < 0.0))
+        above, below = self.margins(x, slope.dtype)
+        return ((above > 0.0) | (slope > 0.0)) & ((below > 0.0) | (slope < 0.0))
 
     def random(self, rng: np.random.Generator, count: int) -> Arrays:
         """Positions (count, ...) within the limits; without limits angles of one turn, and elements about the unit."""

@@ -1,0 +1,335 @@
+"""Differential inverse kinematics: velocities that do several tasks at best, within limits, by a quadratic program."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import enum
+import functools
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ...checks import listed, number, reals
+from ...errors import InputError, ModelError
+from ...progress import watched
+from ...scalar.varying_entries import varying_entries
+from ...solver.qp import QPStatus
+from ...solver.squares import LeastSquares
+from ...system.export import CFiles
+from ..algorithms.dynamics import checked
+from ..kinematic_tree import KinematicTree
+from ..tasks.configuration_space import Arrays, ConfigurationSpace
+from ..tasks.rows import ConstraintRows, TaskRows, inputs_of
+from ..tasks.task import Task
+from .velocity_limits import VelocityBounds, as_freedoms, velocity_bounds
+
+
+class StepStatus(enum.IntEnum):
+    """How a step of a `DifferentialController` ended.
+
+    - `SOLVED`: the velocities are the optimum.
+    - `OVERRUN`: they are, but a joint cannot stop at its limit, or its speed falls below the limit too late, by the
+      acceleration that it may have; `DifferentialStep.overrun` says which one. It brakes.
+    - `INFEASIBLE`: no velocities keep the equalities, the constraints and the limits together.
+    - `NOT_FINITE`: positions, targets or velocities have an entry that is not finite.
+    - `FAILED`: the solver stopped before it had the optimum.
+
+    The last three have velocities as near to zero as the limits allow.
+    """
+
+    SOLVED = 0
+    OVERRUN = 1
+    INFEASIBLE = 2
+    NOT_FINITE = 3
+    FAILED = 4
+
+
+@functools.partial(
+    jax.tree_util.register_dataclass,
+    data_fields=["qd", "x", "status", "errors", "overrun", "constraints", "start", "iterations"],
+    meta_fields=["joints"],
+)
+@dataclasses.dataclass(frozen=True)
+class DifferentialStep:
+    """The result of a step, with leading axes under `jax.vmap`.
+
+    Attributes:
+        qd: (n,) velocities.
+        x: the positions after dt at these velocities.
+        status: (), a number of `StepStatus`.
+        errors: by task e (m,), before the step; the equalities last.
+        overrun: (n,): whether a joint cannot keep its limits.
+        constraints: residuals (k,) before the step, at most zero where they hold.
+        start: of the solver for the next step.
+        iterations: () of the solver; 0 where the start sufficed.
+        joints: by freedom the name of its joint.
+    """
+
+    qd: jax.Array
+    x: dict[str, jax.Array]
+    status: jax.Array
+    errors: tuple[jax.Array, ...]
+    overrun: jax.Array
+    constraints: jax.Array
+    start: jax.Array
+    iterations: jax.Array
+    joints: tuple[str, ...]
+
+
+class DifferentialController:
+    """Velocities that do several tasks at best, within limits: differential inverse kinematics.
+
+    A call solves a dense quadratic program,
+
+        minimise    sum of $|w (J qd - k e)|^2 / 2$ over tasks, $+ (mu + regularization) |qd|^2 / 2$
+        subject to  $J qd = k e$ of the equalities,   $c' <= -k_c c$ of the constraints $c(q) <= 0$,
+                    limits of position, speed and acceleration,
+
+    with weights w, gains k and errors e of the tasks, and mu from their `damping`. It is called under `jit` and `vmap`
+    too. Positions are as `reach` and `tx.integrate` have them. Weights, gains, limits and dt are arguments of the
+    compiled function: `replace` changes them without compiling.
+
+    Source: S. Caron and others, Pink (2022), for the cost and the damping; O. Kanoun, F. Lamiraux, P. Wieber, Kinematic
+    control of redundant manipulators, IEEE Transactions on Robotics 27 (2011), for limits in the program.
+
+    Args:
+        mechanism: a tree or a chain without closures.
+        tasks: what the motion should do, by their weights.
+        dt: the period, s.
+        equalities: tasks that are done exactly, such as feet that stay where they are; their weights do not count.
+        constraints: inequalities of positions, such as {"table": signed_distance(...) >= 0.02}, as for `tx.System`.
+        speed: limits of velocities, a number or (n,); None: those of the joints.
+        acceleration: limits, a number or (n,), infinite where there is none; None: no limits.
+        limit_gain: the share of the distance to a limit that a step may take, where acceleration has no limit.
+        constraint_gain: $k_c$, 1/s; None: half of 1/dt.
+        regularization: added to the diagonal of the Hessian, so that velocities which no task needs are zero.
+    Raises:
+        ModelError: closures, no tasks, something that is no task or no inequality, frames that are not known.
+        InputError: numbers out of their range.
+
+    Example:
+        `DifferentialController(arm, [FrameTask("flange", target=T), PostureTask(q0, weight=1e-3)], dt=1e-3)({"q": q})`
+    """
+
+    def __init__(
+        self,
+        mechanism: KinematicTree,
+        tasks: Iterable[Task],
+        *,
+        dt: float,
+        equalities: Iterable[Task] = (),
+        constraints: Any = (),
+        speed: Any = None,
+        acceleration: Any = None,
+        limit_gain: float = 0.5,
+        constraint_gain: float | None = None,
+        regularization: float = 1e-12,
+    ) -> None:
+        owner = "DifferentialController"
+        checked(owner, mechanism)
+        self.mechanism, self.space = mechanism, ConfigurationSpace(owner, mechanism)
+        self.tasks = TaskRows(owner, self.space, tasks)
+        self.equalities = TaskRows(owner, self.space, equalities)
+        self.constraints = ConstraintRows(owner, self.space, constraints)
+        if not self.tasks.tasks:
+            raise ModelError(f"{owner} expects tasks, got none")
+        parts = [*(self.tasks.expressions or ()), *(self.equalities.expressions or ())]
+        parts += [] if self.constraints.expression is None else [self.constraints.expression]
+        #: The controls and parameters that calls take as targets.
+        self.controls, self.parameters = inputs_of(owner, self.space, parts)
+        self.expressions = parts
+        self.settings = _Settings(self, dt, speed, acceleration, limit_gain, constraint_gain, regularization)
+        n, sizes = mechanism.dofs, (sum(self.tasks.sizes), sum(self.equalities.sizes))
+        self.solver = LeastSquares(n, *sizes, sum(self.constraints.sizes.values()))
+        self._call = jax.jit(self._step)
+        self._compiled = False
+
+    def replace(self, **changes: Any) -> DifferentialController:
+        """A copy with other `dt`, `speed`, `acceleration`, `limit_gain`, `constraint_gain` or `regularization`.
+
+        Nothing is compiled anew, but where limits of acceleration come or go. Raises InputError.
+        """
+        copy: DifferentialController = object.__new__(type(self))
+        copy.__dict__.update(self.__dict__)
+        copy.settings = _Settings(self, **{**self.settings.arguments, **changes})
+        return copy
+
+    def __call__(
+        self,
+        x: Mapping[str, Any],
+        targets: Mapping[str, Any] | None = None,
+        *,
+        qd: Any = None,
+        warm: DifferentialStep | None = None,
+    ) -> DifferentialStep:
+        """The velocities for a step.
+
+        Args:
+            x: positions by state, "q" (w,) and "<joint>_position" on groups.
+            targets: by name, for tasks without one of their own; those with numbers keep them where they are left out.
+            qd: present velocities (n,), where acceleration has limits.
+            warm: the step before, whose active limits are tried first.
+        Raises: InputError for names that are not known or are missing, or other shapes.
+        """
+        targets = dict(targets or {})
+        known = [leaf.name for leaf in (*self.controls, *self.parameters)]
+        if unknown := [name for name in targets if name not in known]:
+            raise InputError(f"DifferentialController has no target {unknown[0]!r}; known are {listed(known)}")
+        if missing := [leaf.name for leaf in self.controls if leaf.name not in targets]:
+            raise InputError(f"DifferentialController expects targets for {listed(missing)}, got {listed(targets)}")
+        if set(x) != set(self.space.names):
+            raise InputError(f"DifferentialController: x expects {listed(self.space.names)}, got {listed(x)}")
+        limited = self.settings.limits_acceleration
+        if limited and qd is None:
+            raise InputError("DifferentialController expects qd, the present velocities, for limits of acceleration")
+        params = {leaf.name: targets.pop(leaf.name, leaf.value) for leaf in self.parameters}
+        start = np.zeros(self.solver.start_size) if warm is None else warm.start
+        arguments = (dict(x), targets, params, qd if limited else None, start, self.settings.arrays)
+        # The first call compiles; later ones are so short that nothing watches them.
+        with contextlib.nullcontext() if self._compiled else watched("DifferentialController"):
+            step: DifferentialStep = self._call(*arguments)
+        self._compiled = True
+        return step
+
+    def to_c(
+        self,
+        directory: str | Path,
+        *,
+        name: str = "differential",
+        states: Sequence[tuple[Any, ...]] | None = None,
+        tolerance: float = 1e-6,
+    ) -> CFiles:
+        """The step as C99 that calls nothing but the mathematics of the C library: no allocation, no global state.
+
+        Weights, gains, limits and dt are constants of the files. The header says how it is called. `<name>_test.c` has
+        a main that ends with 0 where velocities agree with those of Python.
+
+        Args:
+            directory: where files go.
+            name: of the files; C names begin with it.
+            states: (x, targets, qd) for the test, the last two may be left out; None: positions drawn at random, for
+                controllers whose tasks have all of their targets.
+            tolerance: of the test, relative to the largest velocity.
+        Raises: InputError for names, folders or states that cannot be; ModelError for what has no form in C.
+        """
+        from .code import write_differential
+
+        return write_differential(self, directory, name=name, states=states, tolerance=tolerance)
+
+    def problem(
+        self, x: Arrays, u: Arrays, params: Arrays, qd: Any, numbers: Mapping[str, Any]
+    ) -> tuple[tuple[Any, ...], VelocityBounds, Any, Any]:
+        """The parts of the quadratic program in the order of `LeastSquares`, bounds, errors and residuals."""
+        dt = numbers["dt"]
+        e, J = self.tasks(x, u, params)
+        b, A = self.equalities(x, u, params)
+        c, C = self.constraints(x, u, params)
+        r = numbers["gains"] * e
+        damped = numbers["damping"] * (numbers["weights"] * r * dt) ** 2
+        mu = jnp.sum(damped) + numbers["regularization"]
+        bounds = velocity_bounds(
+            self.space, x, qd, dt, numbers["speed"], numbers["acceleration"], numbers["limit_gain"]
+        )
+        rows = -numbers["constraint_gain"] * c
+        ends = (A, numbers["equality_gains"] * b, C, jnp.full_like(rows, -np.inf), rows, bounds.lower, bounds.upper)
+        return (J, numbers["weights"] ** 2, r, mu, *ends), bounds, (e, b), c
+
+    def _step(self, x: Arrays, u: Arrays, params: Arrays, qd: Any, start: Any, numbers: Any) -> DifferentialStep:
+        wide = [value for value in (*x.values(), *u.values()) if jnp.issubdtype(value.dtype, jnp.floating)]
+        dtype = jnp.result_type(*wide) if wide else jax.dtypes.canonicalize_dtype(float)
+        cast = lambda tree: jax.tree.map(lambda a: jnp.asarray(a, dtype), tree)  # noqa: E731
+        x, u, params, qd, numbers = (cast(part) for part in (x, u, params, qd, numbers))
+        arguments, structure = jax.tree.flatten((x, u, params, qd, numbers))
+        shapes = jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype), arguments)
+        results = list[Any]()
+
+        def flat(*arrays: Any) -> list[Any]:
+            entries, shape = jax.tree.flatten(self.problem(*jax.tree.unflatten(structure, arrays)))
+            results.append(shape)
+            return entries
+
+        entries = varying_entries(flat, *shapes)(*arguments)
+        parts, bounds, (e, b), c = jax.tree.unflatten(results[0], entries)
+        solution = self.solver(*parts, cast(start))
+        solved = solution.status == QPStatus.SOLVED.value
+        still = jnp.clip(jnp.zeros_like(bounds.lower), bounds.lower, bounds.upper)
+        still = jnp.where(jnp.isfinite(still), still, 0.0)
+        velocity = jnp.where(solved, solution.x, still)
+        overrun = bounds.overrun > 0.0
+        good = jnp.where(jnp.any(overrun), int(StepStatus.OVERRUN), int(StepStatus.SOLVED))
+        finite = functools.reduce(jnp.logical_and, [jnp.all(~jnp.isnan(p)) for p in parts])
+        bad = jnp.where(
+            solution.status == QPStatus.INFEASIBLE.value, int(StepStatus.INFEASIBLE), int(StepStatus.FAILED)
+        )
+        bad = jnp.where(finite, bad, int(StepStatus.NOT_FINITE))
+        errors = [*self._split(e, self.tasks.sizes), *self._split(b, self.equalities.sizes)]
+        return DifferentialStep(
+            qd=velocity,
+            x=self.space.after(x, velocity * numbers["dt"]),
+            status=jnp.where(solved, good, bad),
+            errors=tuple(errors),
+            overrun=overrun,
+            constraints=c,
+            start=solution.start,
+            iterations=solution.iterations,
+            joints=self.space.joints,
+        )
+
+    @staticmethod
+    def _split(values: jax.Array, sizes: Sequence[int]) -> list[jax.Array]:
+        return jnp.split(values, np.cumsum(sizes)[:-1]) if sizes else []
+
+
+class _Settings:
+    """The numbers of a controller, checked.
+
+    Attributes:
+        arguments: as they came.
+        arrays: by name, for the compiled function.
+        limits_acceleration: whether steps read present velocities.
+    """
+
+    def __init__(
+        self,
+        controller: DifferentialController,
+        dt: float,
+        speed: Any,
+        acceleration: Any,
+        limit_gain: float,
+        constraint_gain: float | None,
+        regularization: float,
+    ) -> None:
+        owner, n = "DifferentialController", controller.mechanism.dofs
+        positive = lambda size: 0.0 < size < np.inf  # noqa: E731
+        number(f"{owner}: dt", dt, "a positive number", positive)
+        number(f"{owner}: limit_gain", limit_gain, "a number in (0, 1]", lambda size: 0.0 < size <= 1.0)
+        number(f"{owner}: regularization", regularization, "a number of 0 or more", lambda size: 0.0 <= size < np.inf)
+        chosen = 0.5 / dt if constraint_gain is None else constraint_gain
+        number(f"{owner}: constraint_gain", chosen, "a positive number", positive)
+        for name, value in (("speed", speed), ("acceleration", acceleration)):
+            sizes = np.ones(()) if value is None else reals(f"{owner}: {name}", value, InputError)
+            if sizes.shape not in ((), (n,)) or not (sizes > 0.0).all():
+                raise InputError(f"{owner}: {name} expects positive numbers () or ({n},), got {value!r}")
+        self.arguments = {"dt": dt, "speed": speed, "acceleration": acceleration, "limit_gain": limit_gain}
+        self.arguments |= {"constraint_gain": constraint_gain, "regularization": regularization}
+        most = controller.mechanism.qd.max
+        tasks, equalities = controller.tasks, controller.equalities
+        numbers = {
+            "dt": dt,
+            "gains": np.where(np.isnan(tasks.gains), 1.0 / dt, tasks.gains),
+            "equality_gains": np.where(np.isnan(equalities.gains), 1.0 / dt, equalities.gains),
+            "weights": tasks.weights,
+            "damping": tasks.damping,
+            "speed": as_freedoms(most if speed is None else speed, n, np.inf),
+            "acceleration": as_freedoms(acceleration, n, np.inf),
+            "limit_gain": limit_gain,
+            "constraint_gain": chosen,
+            "regularization": regularization,
+        }
+        self.arrays = {name: np.asarray(value, float) for name, value in numbers.items()}
+        self.limits_acceleration = acceleration is not None

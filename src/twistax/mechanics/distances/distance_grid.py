@@ -1,0 +1,46 @@
+"""Signed distances on a grid."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from ...expr import Expr
+from ...expr.lie import Act
+from ...expr.tables.interpolation import Interp
+from ...expr.tables.kinds import BSpline
+from ..arguments import pose
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class DistanceGrid:
+    """Signed distances of a solid at the points of a grid, such as those of a scanned room.
+
+    Between points, `tx.tables.BSpline()` gives two continuous derivatives. The error of `tx.tables.Linear()` is at most
+    half of the diagonal of a cell, $|h| / 2$, for distances have slopes of at most 1. Outside of the grid the nearest
+    value on its border counts.
+
+    Attributes:
+        axes: three arrays of coordinates, increasing, m, in the frame of the grid.
+        values: (nx, ny, nz), m: negative inside the solid.
+        kind: of the interpolation.
+        at: T (4, 4) of the grid in the frame of its body; the identity by default.
+    Raises: ModelError for values of another shape, and numbers that are no pose.
+    """
+
+    axes: Any
+    values: Any
+    kind: Any = dataclasses.field(default_factory=BSpline)
+    at: Any = dataclasses.field(default_factory=lambda: np.eye(4))
+
+    def __post_init__(self) -> None:
+        T = pose("DistanceGrid", "at", self.at)
+        object.__setattr__(self, "at", np.asarray(getattr(T, "value", self.at)))
+        self.value(np.zeros(3))
+
+    def value(self, point: Any) -> Expr:
+        """The distance () of a point (3,) in the frame of the body, m."""
+        p = Act(np.linalg.inv(self.at), point)
+        return Interp(p[0], p[1], p[2], axes=list(self.axes), values=self.values, kind=self.kind)

@@ -1,0 +1,148 @@
+"""The distances of all pairs of solids of a mechanism that may touch, and their soft minimum."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import math
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from ...checks import number
+from ...errors import ModelError
+from ...expr import Cond, Constant, Expr, LogSumExp, Min, Norm
+from ...expr.lie import Act
+from ...view import Mesh
+from ..algorithms.dynamics import checked
+from ..kinematic_tree import KinematicTree
+from ..models.xml_file import read_xml
+from .polytope import ConvexPolytope
+from .signed_distance import Solid, signed_distance
+from .solids import HalfSpace, rounded
+
+Solids = Mapping[str, Solid | Iterable[Solid]]
+
+
+def clearances(
+    mechanism: KinematicTree,
+    solids: Solids | None = None,
+    obstacles: Solids | None = None,
+    *,
+    ignored: Iterable[tuple[str, str]] = (),
+    srdf: str | Path | None = None,
+    far: float | None = None,
+) -> dict[str, Expr]:
+    """The signed distances () of all pairs of frames that may touch, m, by names such as "hand-forearm", "hand-table".
+
+    Frames that one joint connects, and frames of one rigid body, are no pairs; neither are those in `ignored` and in
+    the SRDF file. Between several solids of two frames the least distance counts.
+
+    Args:
+        solids: by frame; None: the shapes of all links and of the base, meshes by convex hulls of 24 corners.
+        obstacles: by name, in the axes of the base, each against all frames that move.
+        ignored: pairs of names of frames or obstacles.
+        srdf: a file with `<disable_collisions link1=... link2=.../>`, as MoveIt writes it.
+        far: None, or the broad phase: where the spheres around two solids are farther apart than this, m, their
+            distance stands in for that of the solids, which is not computed. It is a lower bound, so that constraints
+            hold; the value jumps there.
+    Raises:
+        ModelError: a frame that is not known, a name that is twice, a solid without a distance, a file without such
+            elements, or no pair is left.
+
+    Example:
+        `clearances(arm, {"hand": Sphere(0.1)}, {"table": box})["hand-table"] >= 0.02`
+    """
+    checked("clearances", mechanism)
+    by_frame = _of_links(mechanism) if solids is None else {name: _listed(value) for name, value in solids.items()}
+    by_obstacle = {name: _listed(value) for name, value in (obstacles or {}).items()}
+    if twice := [name for name in by_obstacle if name in by_frame]:
+        raise ModelError(f"clearances: {twice[0]!r} is a frame and an obstacle.\n  fix: another name")
+    places = {name: mechanism.frame(name).segment for name in by_frame} | dict.fromkeys(by_obstacle)
+    skipped = {frozenset(pair) for pair in (*ignored, *(() if srdf is None else disabled_pairs(srdf)))}
+    distances = dict[str, Expr]()
+    for a, b in itertools.combinations([*by_frame, *by_obstacle], 2):
+        if frozenset((a, b)) in skipped or not _may_touch(mechanism, places[a], places[b]):
+            continue
+        T_a, T_b = (mechanism.pose(name) if name in by_frame else None for name in (a, b))
+        shapes = itertools.product(*({**by_frame, **by_obstacle}[name] for name in (a, b)))
+        pairs = [_distance(one, two, T_a, T_b, far) for one, two in shapes]
+        distances[f"{a}-{b}"] = functools.reduce(Min, pairs)
+    if not distances:
+        raise ModelError("clearances expects frames or obstacles that may touch each other, no pair is left")
+    return distances
+
+
+def soft_minimum(distances: Iterable[Expr] | Mapping[str, Expr], width: float) -> Expr:
+    """A minimum () without kinks between its values: $-w log sum exp(-d_i / w)$.
+
+    Of n values it is at most the minimum and at least the minimum less $w log n$. One constraint on it keeps clear of
+    all pairs, by up to so much more.
+
+    Args:
+        distances: expressions (), such as those of `clearances`.
+        width: w, m.
+    Raises: InputError for a width that is not positive; ModelError without distances.
+
+    Example:
+        `soft_minimum(clearances(arm), 0.005) >= 0.02`
+    """
+    number("soft_minimum: width", width, "a positive number", lambda size: 0.0 < size < math.inf)
+    values = list(distances.values() if isinstance(distances, Mapping) else distances)
+    if not values:
+        raise ModelError("soft_minimum expects distances, got none")
+    return values[0] if len(values) == 1 else -width * LogSumExp(*(-d / width for d in values))
+
+
+def disabled_pairs(srdf: str | Path) -> list[tuple[str, str]]:
+    """The pairs of links whose collisions an SRDF file disables. Raises ModelError for a file that has none."""
+    root = read_xml(Path(srdf), "clearances")
+    pairs = [(element.text("link1"), element.text("link2")) for element in root.all("disable_collisions")]
+    if not pairs:
+        raise ModelError(f"clearances expects an SRDF file with <disable_collisions>, got {str(srdf)!r}")
+    return pairs
+
+
+def _listed(value: Solid | Iterable[Solid]) -> list[Solid]:
+    return list(value) if isinstance(value, Iterable) else [value]
+
+
+def _of_links(mechanism: KinematicTree) -> dict[str, list[Solid]]:
+    """The shapes of links, by frame."""
+    shapes = {link.name: link.shapes for link in mechanism.links} | {mechanism.base: mechanism.shapes}
+    solids = {
+        name: [ConvexPolytope(shape, most=24) if isinstance(shape, Mesh) else shape for shape in of_link]
+        for name, of_link in shapes.items()
+        if of_link
+    }
+    if not solids:
+        raise ModelError("clearances expects links with shapes, or solids by frame")
+    return {name: list(of_link) for name, of_link in solids.items()}
+
+
+def _may_touch(mechanism: KinematicTree, a: int | None, b: int | None) -> bool:
+    """Whether two segments are neither one body nor neighbours; -1 is the base, None an obstacle in its axes."""
+    if a is None or b is None:
+        return (a is not None and a >= 0) or (b is not None and b >= 0)
+    before = {-1: None} | {i: segment.before for i, segment in enumerate(mechanism.segments)}
+    return a != b and before[a] != b and before[b] != a
+
+
+def _distance(a: Solid, b: Solid, T_a: Expr | None, T_b: Expr | None, far: float | None) -> Expr:
+    """The distance of two solids, or that of the spheres around them where these are far apart."""
+    exact = signed_distance(a, b, T_a, T_b)
+    if far is None or isinstance(a, HalfSpace) or isinstance(b, HalfSpace):
+        return exact
+    (c_a, r_a), (c_b, r_b) = _sphere(a), _sphere(b)
+    between = (Constant(c_a) if T_a is None else Act(T_a, c_a)) - (Constant(c_b) if T_b is None else Act(T_b, c_b))
+    gap = Norm(between) - (r_a + r_b)
+    return Cond(gap > far, gap, exact)
+
+
+def _sphere(solid: Solid) -> tuple[np.ndarray, float]:
+    """The centre and the radius of a sphere around a solid, in the frame of its body."""
+    core = solid.core if isinstance(solid, ConvexPolytope) else rounded("clearances", solid)
+    middle = 0.5 * (core.corners.min(axis=0) + core.corners.max(axis=0))
+    radius = float(np.linalg.norm(core.corners - middle, axis=1).max()) + core.radius
+    return np.asarray(core.at[:3, :3] @ middle + core.at[:3, 3]), radius

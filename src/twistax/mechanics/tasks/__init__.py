@@ -1,0 +1,1 @@
+"""Tasks: what a motion of a mechanism should do, each an error and its Jacobian."""

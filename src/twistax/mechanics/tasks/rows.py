@@ -1,0 +1,129 @@
+"""Tasks and constraints of a mechanism as arrays: errors with their Jacobians, and residuals with theirs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ...checks import listed, short
+from ...errors import ModelError, ShapeError
+from ...expr import Concat, Constant, Control, Expr, Leaf, Parameter, State, Time, Vstack, leaves_of
+from ...expr.operations.comparisons import Constraint, Inequality
+from ...system.lower import lower
+from ...system.system import constraints_by_name
+from .configuration_space import Arrays, ConfigurationSpace
+from .task import Task
+
+
+class TaskRows:
+    """The errors and Jacobians of tasks, one under the other.
+
+    Attributes:
+        sizes: the number of rows of each task.
+        weights, gains, damping: by row; a gain is NaN where the task has none.
+        expressions: the errors (m,) and the Jacobian (m, n); None without tasks.
+    Raises: ModelError, ShapeError for what is no task, or one whose error and Jacobian do not fit.
+    """
+
+    def __init__(self, owner: str, space: ConfigurationSpace, tasks: Iterable[Task]) -> None:
+        self.tasks, self._dofs = tuple(tasks), space.mechanism.dofs
+        for task in self.tasks:
+            if not isinstance(task, Task):
+                raise ModelError(f"{owner} expects tasks, such as FrameTask, got {short(task)}")
+        errors = [task.error(space.mechanism) for task in self.tasks]
+        jacobians = [task.jacobian(space.mechanism) for task in self.tasks]
+        for task, e, J in zip(self.tasks, errors, jacobians, strict=True):
+            if len(e.shape) != 1 or J.shape != (*e.shape, self._dofs):
+                kind = type(task).__name__
+                raise ShapeError(
+                    f"{owner}: {kind} has an error {e.shape} and a Jacobian {J.shape}; expected (m,), (m, {self._dofs})"
+                )
+        self.sizes = [e.shape[0] for e in errors]
+        pairs = list(zip(self.tasks, self.sizes, strict=True))
+        self.weights = np.concatenate([np.zeros(0), *(task.weights(size) for task, size in pairs)])
+        self.gains = np.repeat([np.nan if task.gain is None else task.gain for task in self.tasks], self.sizes)
+        self.damping = np.repeat([float(task.damping) for task in self.tasks], self.sizes)
+        self.expressions = (Concat(*errors), Vstack(*jacobians)) if errors else None
+        self._lowered = lower(list(self.expressions)) if self.expressions else None
+
+    def __call__(self, x: Arrays, u: Arrays, params: Arrays) -> tuple[jax.Array, jax.Array]:
+        """e (m,) and J (m, n)."""
+        if self._lowered is None:
+            return jnp.zeros(0, dtype_of(x)), jnp.zeros((0, self._dofs), dtype_of(x))
+        e, J = self._lowered(0.0, x, *of_leaves(leaves_of(*(self.expressions or ())), u, params))
+        return e, J
+
+
+class ConstraintRows:
+    """The residuals of inequalities, at most zero where they hold, with their derivatives along velocities.
+
+    Attributes:
+        sizes: the number of rows of each, by name.
+        expression: the residuals (k,); None without constraints.
+    Raises: ModelError for what is no inequality, or depends on other states than the positions.
+    """
+
+    def __init__(self, owner: str, space: ConfigurationSpace, constraints: Any) -> None:
+        self._space = space
+        residuals, self.sizes = list[Expr](), dict[str, int]()
+        for name, constraint in constraints_by_name(constraints).items():
+            if not isinstance(constraint, Constraint) or not isinstance(constraint, Inequality):
+                raise ModelError(f"{owner} keeps inequalities, got {name!r}: {short(constraint)}")
+            residual = constraint.residual()
+            if len(residual.shape) > 1:
+                raise ModelError(f"{owner} keeps constraints of shape () or (k,), got {name!r} {residual.shape}")
+            residuals.append(residual if residual.shape else residual[None])
+            self.sizes[name] = residuals[-1].shape[0]
+        self.expression = Concat(*residuals) if residuals else None
+        self._lowered = None if self.expression is None else lower(self.expression)
+
+    def values(self, x: Arrays, u: Arrays, params: Arrays) -> jax.Array:
+        """c (k,)."""
+        if self._lowered is None or self.expression is None:
+            return jnp.zeros(0, dtype_of(x))
+        values: jax.Array = self._lowered(0.0, x, *of_leaves(leaves_of(self.expression), u, params))
+        return values
+
+    def __call__(self, x: Arrays, u: Arrays, params: Arrays) -> tuple[jax.Array, jax.Array]:
+        """c (k,) and C (k, n): $c' = C qd$."""
+        n = self._space.mechanism.dofs
+        if self._lowered is None:
+            return jnp.zeros(0, dtype_of(x)), jnp.zeros((0, n), dtype_of(x))
+        moved = lambda step: self.values(self._space.after(x, step), u, params)  # noqa: E731
+        at, back = jax.vjp(moved, jnp.zeros(n, dtype_of(x)))
+        # Row by row: in a batch arrays are so wide that they would not become scalars.
+        C = jnp.stack([back(unit)[0] for unit in np.eye(len(at), dtype=at.dtype)])
+        return at, C
+
+
+def of_leaves(leaves: Iterable[Leaf], u: Mapping[str, Any], params: Mapping[str, Any]) -> tuple[Arrays, Arrays]:
+    """What an expression takes of controls and parameters."""
+    names = {leaf.name for leaf in leaves}
+    return {k: v for k, v in u.items() if k in names}, {k: v for k, v in params.items() if k in names}
+
+
+def inputs_of(
+    owner: str, space: ConfigurationSpace, expressions: Sequence[Expr]
+) -> tuple[list[Control], list[Parameter]]:
+    """The controls and the parameters of expressions. Raises ModelError for states other than the positions."""
+    leaves: dict[tuple[type, str], Leaf] = {}
+    for leaf in leaves_of(*expressions):
+        if not isinstance(leaf, Constant):
+            leaves.setdefault((type(leaf), leaf.name), leaf)
+    unknown = [leaf.name for leaf in leaves.values() if isinstance(leaf, Time)]
+    unknown += [leaf.name for leaf in leaves.values() if isinstance(leaf, State) and leaf.name not in space.names]
+    if unknown:
+        raise ModelError(f"{owner} reads positions, controls and parameters, got expressions of {listed(unknown)}")
+    return (
+        [leaf for leaf in leaves.values() if isinstance(leaf, Control)],
+        [leaf for leaf in leaves.values() if isinstance(leaf, Parameter)],
+    )
+
+
+def dtype_of(x: Arrays) -> Any:
+    """The precision of positions."""
+    return next(iter(x.values())).dtype

@@ -1,0 +1,182 @@
+"""Distances of convex polytopes, of many pairs and on grids: closed forms, Coal, derivatives by differences."""
+
+import itertools
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+from test_distances import poses, values
+
+import twistax as tx
+from twistax import mechanics
+from twistax.errors import InputError, ModelError
+from twistax.mechanics import (
+    ConvexPolytope,
+    DistanceGrid,
+    HalfSpace,
+    Link,
+    Mechanism,
+    clearances,
+    joints,
+    signed_distance,
+    soft_minimum,
+)
+from twistax.view import Box, Capsule, Mesh, Sphere
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+POINTS = np.random.default_rng(5).normal(size=(2, 14, 3)) * 0.35
+LENGTHS = (0.4, 0.7, 1.1)
+CORNERS = np.array(list(itertools.product(*((-0.5 * h, 0.5 * h) for h in LENGTHS))))
+
+
+@pytest.mark.parametrize("other", [Sphere(0.3), Capsule(0.2, 0.9), Box((0.5, 0.6, 0.3)), HalfSpace()], ids=str)
+def test_a_box_as_a_polytope(other: Any) -> None:
+    A, B = poses(60, 0.5)
+    expected = values(Box(LENGTHS), other, A, B)
+    assert np.abs(values(ConvexPolytope(CORNERS), other, A, B) - expected).max() < 1e-12
+    assert np.abs(values(ConvexPolytope(CORNERS, radius=0.05), other, A, B) - expected + 0.05).max() < 1e-12
+    assert (expected < -1e-2).sum() > 3
+
+
+@pytest.mark.parametrize("other", ["polytope", "capsule"])
+def test_as_coal_has_it(other: str) -> None:
+    compare_with_coal(other, 200)
+
+
+@pytest.mark.slow
+def test_a_million_pairs_as_coal_has_them() -> None:
+    compare_with_coal("polytope", 1_000_000)
+
+
+def compare_with_coal(other: str, count: int) -> None:
+    coal = pytest.importorskip("coal", reason="coal is not installed (it comes with pin)")
+    from scipy.spatial import ConvexHull
+
+    def solid(points: np.ndarray) -> Any:
+        hull, corners, triangles = ConvexHull(points), coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+        for p in points:
+            corners.append(p)
+        for triangle, plane in zip(hull.simplices, hull.equations, strict=True):
+            a, b, c = points[triangle]
+            outward = np.dot(np.cross(b - a, c - a), plane[:3]) > 0.0
+            triangles.append(coal.Triangle(*map(int, triangle if outward else triangle[::-1])))
+        return coal.Convex(corners, triangles)
+
+    first, second = (ConvexPolytope(points) for points in POINTS)
+    ours = second if other == "polytope" else Capsule(0.2, 0.9)
+    theirs = solid(second.corners) if other == "polytope" else coal.Capsule(0.2, 0.9)
+    request, hull = coal.DistanceRequest(True), solid(first.corners)
+    request.gjk_tolerance = request.epa_tolerance = 1e-10
+    A, B = poses(count, 0.7)
+
+    def theirs_at(P: np.ndarray, Q: np.ndarray) -> float:
+        first, second = (coal.Transform3s(T[:3, :3], T[:3, 3]) for T in (P, Q))
+        return float(coal.distance(hull, first, theirs, second, request, coal.DistanceResult()))
+
+    expected = np.array([theirs_at(*both) for both in zip(A, B, strict=True)])
+    parts = [
+        values(first, ours, *both)
+        for both in zip(*(np.array_split(T, max(count // 1000, 1)) for T in (A, B)), strict=True)
+    ]
+    assert np.abs(np.concatenate(parts) - expected).max() < 1e-6
+    assert min((expected < -1e-2).sum(), (expected > 1e-2).sum()) > count // 20
+
+
+def test_first_and_second_derivatives() -> None:
+    first, second = (ConvexPolytope(points) for points in POINTS)
+    xi, T_a, T_b = tx.State("xi", (6,)), tx.State("A", (4, 4)), tx.State("B", (4, 4))
+    lowered = tx.lower(signed_distance(first, second, tx.lie.Compose(T_a, tx.lie.SE3Exp(xi)), T_b))
+    A, B = poses(12, 0.8)
+    value = lambda x, A, B: lowered(0.0, {"xi": x, "A": A, "B": B})  # noqa: E731
+    f, g = (jax.jit(jax.vmap(function)) for function in (value, jax.grad(value)))
+    H = jax.jit(jax.vmap(jax.jacfwd(jax.grad(value))))
+    x, h = np.zeros((12, 6)), 1e-5
+    slopes, curves = np.asarray(g(x, A, B)), np.asarray(H(x, A, B))
+    units = np.eye(6)[:, None] * h
+    by_values = np.stack([(f(x + u, A, B) - f(x - u, A, B)) / (2.0 * h) for u in units], axis=1)
+    by_slopes = np.stack([(g(x + u, A, B) - g(x - u, A, B)) / (2.0 * h) for u in units], axis=1)
+    near = np.abs(by_values - slopes).max(axis=1) < 1e-6
+    assert near.mean() > 0.9  # all but next to a change of features
+    assert (np.abs(by_slopes - curves).max(axis=(1, 2)) < 1e-6 * (1.0 + np.abs(curves).max(axis=(1, 2)))).mean() > 0.9
+    assert np.abs(slopes).max() > 0.5
+
+
+def test_a_hull_with_fewer_corners_contains_it() -> None:
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(200, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    small = ConvexPolytope(Mesh((points, np.array([[0, 1, 2]]))), most=20)
+    assert len(small.corners) <= 20
+    assert 0.05 < small.radius < 0.6
+    inside = tx.lower(signed_distance(small, Sphere(1e-9), None, tx.State("T", (4, 4))))
+    places = np.tile(np.eye(4), (200, 1, 1))
+    places[:, :3, 3] = points
+    assert np.asarray(jax.vmap(lambda T: inside(0.0, {"T": T}))(places)).max() < 1e-12
+
+
+def test_pairs_of_a_mechanism(tmp_path: Path) -> None:
+    arm = mechanics.chain_models.equal_links(4)
+    ball = Sphere(0.05)
+    every = dict.fromkeys(("base", *(f"joint{i}" for i in range(4))), ball)
+    pairs = clearances(arm, every, {"wall": Box((0.1, 1.0, 1.0), at=(2.0, 0.0, 0.0))})
+    links = ["joint0-joint2", "joint0-joint3", "joint1-joint3", "base-joint1", "base-joint2", "base-joint3"]
+    assert set(pairs) == {*links, *(f"joint{i}-wall" for i in range(4))}
+    file = tmp_path / "arm.srdf"
+    file.write_text('<robot name="a"><disable_collisions link1="joint3" link2="joint0" reason="Never"/></robot>')
+    left = clearances(arm, every, ignored=[("base", "joint1")], srdf=file)
+    assert set(left) == {*links} - {"joint0-joint3", "base-joint1"}
+    x = {"q": np.array([0.3, -0.7, 1.1, 0.4])}
+    exact = tx.lower(pairs)(0.0, x)
+    broad = tx.lower(clearances(arm, every, {"wall": Box((0.1, 1.0, 1.0), at=(2.0, 0.0, 0.0))}, far=0.1))(0.0, x)
+    assert all(broad[name] <= exact[name] + 1e-12 for name in exact)
+    assert any(broad[name] < exact[name] - 1e-3 for name in exact)
+    least, soft = min(exact.values()), tx.lower(soft_minimum(pairs, 0.02))(0.0, x)
+    assert least - 0.02 * np.log(len(pairs)) <= soft <= least
+    assert soft < least - 1e-6
+
+
+def test_the_shapes_of_links_are_pairs() -> None:
+    link = lambda name, x: Link(joints.Free(name), None, tx.pose(position=[x, 0.0, 0.0]), shapes=[Box((0.2, 0.2, 0.2))])  # noqa: E731
+    pairs = clearances(Mechanism([link("a", 0.0), link("b", 1.0)]))
+    assert list(pairs) == ["a-b"]
+    x = {"a_position": np.eye(4), "b_position": np.eye(4)}
+    assert np.isclose(float(tx.lower(pairs["a-b"])(0.0, x)), 0.8)
+
+
+def test_a_grid_of_distances() -> None:
+    axes = [np.linspace(-1.0, 1.0, 21)] * 3
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    table = np.linalg.norm(points, axis=-1) - 0.4  # of a ball
+    at = tx.pose(position=[0.3, 0.0, 0.1])
+    rng, T = np.random.default_rng(1), np.tile(np.eye(4), (100, 1, 1))
+    T[:, :3, 3] = rng.uniform(-0.5, 0.5, size=(100, 3))
+    exact = np.linalg.norm(T[:, :3, 3] - at[None, :3, 3], axis=1) - 0.5
+    for kind, bound in ((tx.tables.Linear(), 0.05 * np.sqrt(3.0)), (tx.tables.BSpline(), 0.05 * np.sqrt(3.0))):
+        grid = DistanceGrid(axes, table, kind=kind, at=at)
+        lowered = tx.lower(signed_distance(grid, Sphere(0.1), None, tx.State("T", (4, 4))))
+        off = np.abs(np.asarray(jax.vmap(lambda T: lowered(0.0, {"T": T}))(T)) - exact)  # noqa: B023
+        assert off.max() < bound
+        assert off[exact > 0.0].max() < 0.02
+
+
+def test_what_has_no_distance(unchecked: None) -> None:
+    wrong: list[tuple[Any, str]] = [
+        (lambda: ConvexPolytope(np.eye(3)), "span a volume"),
+        (lambda: ConvexPolytope(np.full((8, 3), np.nan)), "finite"),
+        (lambda: ConvexPolytope(CORNERS, radius=-1.0), "radius of 0 or more"),
+        (lambda: ConvexPolytope(CORNERS, most=3), "most of 4"),
+        (
+            lambda: signed_distance(DistanceGrid([np.arange(4.0)] * 3, np.ones((4, 4, 4))), Box(LENGTHS)),
+            "a Sphere beside",
+        ),
+        (lambda: DistanceGrid([np.arange(4.0)] * 3, np.ones((4, 4))), "shape"),
+        (lambda: clearances(mechanics.chain_models.equal_links(2)), "links with shapes"),
+        (lambda: clearances(mechanics.chain_models.equal_links(2), {"joint1": Sphere(0.1)}), "no pair is left"),
+        (lambda: soft_minimum([], 0.1), "got none"),
+        (lambda: soft_minimum([tx.Constant(1.0)], 0.0), "width"),
+    ]
+    for call, message in wrong:
+        with pytest.raises((InputError, ModelError), match=message):
+            call()

@@ -1,0 +1,103 @@
+"""Inverse kinematics with several frames, further tasks, priorities and constraints."""
+
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+
+import twistax as tx
+from twistax import mechanics
+from twistax.errors import InputError, ModelError
+from twistax.mechanics import (
+    CenterOfMassTask,
+    FrameTask,
+    PositionTask,
+    PostureTask,
+    ReachStatus,
+    reach,
+    signed_distance,
+)
+from twistax.view import Box, Sphere
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+def test_a_posture_is_of_the_second_priority() -> None:
+    """Three links in a plane reach a point: the posture is the nearest of the circle of solutions."""
+    from test_reach import planar_arm
+
+    arm = planar_arm((-3.0, 3.0), (-3.0, 3.0), (-3.0, 3.0))
+    target, wanted = np.array([1.5, 0.8, 0.0]), np.array([0.2, 0.4, 0.3])
+    result = reach(arm, {"tip": target}, secondary=[PostureTask(wanted)], start={"q": np.array([0.1, 0.8, 0.5])})
+    assert result.status == ReachStatus.REACHED
+    q = np.asarray(result.x["q"])
+    assert result.distance[0] < 1e-5
+    # At an optimum the gradient has no part along the circle: it is a combination of the rows of J.
+    J = np.asarray(tx.lower(mechanics.frame_jacobian(arm, "tip", axes=mechanics.ALIGNED)[:2])(0.0, {"q": q}))
+    left = (wanted - q) - J.T @ np.linalg.lstsq(J.T, wanted - q, rcond=None)[0]
+    assert np.linalg.norm(left) < 1e-4
+    alone = np.asarray(reach(arm, {"tip": target}, start={"q": np.array([0.1, 0.8, 0.5])}).x["q"])
+    assert np.linalg.norm(q - wanted) < np.linalg.norm(alone - wanted) - 1e-3
+
+
+def test_constraints_are_kept_or_named() -> None:
+    from test_reach import planar_arm
+
+    arm, target = planar_arm((-3.0, 3.0), (-3.0, 3.0)), np.array([1.2, 0.3, 0.0])
+    elbow = arm.pose("joint1")
+    up, down = (reach(arm, {"tip": target}, constraints={"side": sign * elbow[1, 3] <= 0.0}) for sign in (-1.0, 1.0))
+    assert up.status == down.status == ReachStatus.REACHED
+    assert up.x["q"][0] > 0.3 > -0.1 > down.x["q"][0]
+    assert up.constraints[0] <= 1e-5
+    both = reach(
+        arm,
+        {"tip": target},
+        constraints={"above": elbow[1, 3] >= 0.1, "below": elbow[1, 3] <= -0.1, "wide": arm.q[0] <= 3.0},
+    )
+    assert both.status == ReachStatus.UNREACHABLE
+    assert set(both.broken()) <= {"above", "below"}
+    assert both.broken()
+
+
+def test_a_panda_reaches_over_a_shelf_in_batches() -> None:
+    arm = mechanics.load(EXAMPLES / "panda.urdf")
+    shelf = Box((0.4, 1.2, 0.04), at=(0.6, 0.0, 0.35))
+    clear = {name: signed_distance(Sphere(0.09), shelf, arm.pose(name)) >= 0.02 for name in ("link4", "link5", "link7")}
+    q = np.random.default_rng(1).uniform(arm.q.min, arm.q.max, size=(40, 7))
+    flange = tx.lower(arm.pose("flange"))
+    p = np.asarray(jax.vmap(lambda q: flange(0.0, {"q": q}))(q))[:, :3, 3]
+    result = reach(arm, {"flange": p}, constraints=clear)
+    reached = np.asarray(result.status) == ReachStatus.REACHED
+    assert reached.mean() > 0.7
+    assert np.asarray(result.constraints)[reached].max() < 1e-5
+    assert np.asarray(result.distance)[reached].max() < 1e-5
+    free = reach(arm, {"flange": p})
+    values = tx.lower([constraint.residual() for constraint in clear.values()])
+    hits = np.asarray(jax.vmap(lambda q: values(0.0, {"q": q}))(free.x["q"])).max(axis=0)
+    assert (hits > 1e-3).sum() >= 2  # without constraints some positions are in the shelf
+
+
+def test_tasks_without_targets_of_frames() -> None:
+    arm = mechanics.chain_models.equal_links(3)
+    there = {"q": np.array([0.4, -0.8, 0.5])}
+    center, tip = tx.lower([mechanics.center_of_mass(arm), arm.pose("joint2")[:3, 3]])(0.0, there)
+    result = reach(arm, {}, tasks=[CenterOfMassTask(center), PositionTask("joint2", tip)])
+    assert result.status == ReachStatus.REACHED
+    found = tx.lower([mechanics.center_of_mass(arm), arm.pose("joint2")[:3, 3]])(0.0, result.x)
+    assert np.allclose(found[0], center, atol=1e-5)
+    assert np.allclose(found[1], tip, atol=1e-5)
+
+
+def test_what_cannot_be_asked_for(unchecked: None) -> None:
+    arm, T = mechanics.chain_models.equal_links(2), np.eye(4)
+    wrong: list[tuple[Any, str]] = [
+        ({"tasks": [FrameTask("joint1")]}, "none for 'joint1_pose'"),
+        ({"tasks": ["joint1"]}, "reach expects tasks"),
+        ({"constraints": [arm.q[0] == 0.0]}, "keeps inequalities"),
+        ({"constraints": [tx.Time() <= 0.0]}, "reads positions"),
+    ]
+    for arguments, message in wrong:
+        with pytest.raises((InputError, ModelError), match=message):
+            reach(arm, {"joint1": T}, **arguments)
