@@ -17,10 +17,6 @@ void twx_pack(const twx_memory *t, size_t block, size_t width, const double *res
 
 size_t twx_lanes_of(const twx_memory *t, size_t block) { return t->K - block * L < L ? t->K - block * L : L; }
 
-double *twx_maps_at(const twx_memory *t, size_t place, size_t block) {
-  return t->maps + (place * t->blocks + block) * t->n * t->size * L;
-}
-
 /* List the entries of a row that are not zero in some lane; how many there are. */
 static size_t list_entries(size_t count, const double *row, int32_t *list) {
   size_t used = 0;
@@ -41,7 +37,7 @@ typedef struct { /* sum of a[i] b[i] over a list of i; strides in entries */
 
 /* to (columns,) += the products with as many columns of b. */
 static inline void add_columns(const products *p, size_t columns, size_t first, double *restrict to) {
-  double sums[2 * L];
+  double sums[4 * L];
   for (size_t e = 0; e < columns * L; e++) sums[e] = to[first * L + e];
   for (size_t q = 0; q < p->count; q++) {
     const size_t i = (size_t)p->list[q];
@@ -55,7 +51,8 @@ static inline void add_columns(const products *p, size_t columns, size_t first, 
 /* The same for columns first <= j < end. */
 static void add_products(const products *p, size_t first, size_t end, double *to) {
   size_t j = first;
-  for (; j + 2 <= end; j += 2) add_columns(p, 2, j, to);
+  for (; j + 4 <= end; j += 4) add_columns(p, 4, j, to);
+  if (j + 2 <= end) add_columns(p, 2, j, to), j += 2;
   if (j < end) add_columns(p, 1, j, to);
 }
 
@@ -72,9 +69,10 @@ void twx_lanes_along(const twx_memory *t, size_t rows, const double *M, size_t w
   }
 }
 
-/* The upper triangle of H += G' M G of a block, with G the sensitivities of q: maps (n, size), then the unknowns
- * themselves; without maps G is one. Many rows of M are zero: rates are linear in most of their arguments. */
-void twx_lanes_bends(const twx_memory *t, const double *M, const double *maps, double *H) {
+/* The upper triangle of H += G' M G of a block, with M (width, width) and G the sensitivities of eta or of q: maps
+ * (n, size), then the unknowns themselves; without maps G is one. Many rows of M are zero: rates are linear in most of
+ * their arguments. */
+void twx_lanes_bends(const twx_memory *t, const double *M, size_t width, const double *maps, double *H) {
   const size_t n = t->n, size = t->size;
   double *const moved = t->lane_moved;
   int32_t *const rows = t->list + size;
@@ -82,9 +80,9 @@ void twx_lanes_bends(const twx_memory *t, const double *M, const double *maps, d
   for (size_t r = 0; r < size && !maps; r++)
     for (size_t e = (r * size + r) * L; e < (r + 1) * size * L; e++) H[e] += M[e];
   if (!maps) return;
-  for (size_t i = 0; i < size; i++) {
-    if (!list_entries(size, M + i * size * L, t->list)) continue;
-    twx_lanes_along(t, 1, M + i * size * L, size, maps, moved + i * size * L);
+  for (size_t i = 0; i < width; i++) {
+    if (!list_entries(width, M + i * width * L, t->list)) continue;
+    twx_lanes_along(t, 1, M + i * width * L, width, maps, moved + i * size * L);
     rows[count++] = (int32_t)i;
   }
   size_t of_states = 0; /* how many of these rows */

@@ -11,7 +11,7 @@ static int32_t is_zero(const double *a, size_t count) {
 
 static const int32_t *places_at(const twx_memory *t, size_t point, size_t k) {
   const twx_phase *f = t->phase;
-  return f->place + (k * ((size_t)f->substeps + 1) + point) * (size_t)f->path_rows;
+  return f->place + ((t->first + k) * ((size_t)f->substeps + 1) + point) * (size_t)f->path_rows;
 }
 
 /* Whether any row or cost of a point counts; rows stand at ends of substeps alone. */
@@ -34,9 +34,9 @@ static double rows_values(twx_memory *t, const double *z, double *h, double *e) 
     twx_call(&f->rows.value, t, twx_inputs_at(t, z, point), t->K, t->rows, R + 1);
     for (size_t k = 0; k < t->K; k++) {
       const double *row = t->rows + k * (R + 1);
-      cost += f->widths[k] * f->weights[point] * row[R];
+      cost += t->widths[k] * f->weights[point] * row[R];
       for (size_t r = 0; point <= (size_t)f->substeps && r < R; r++) {
-        double *to = twx_row_at(f, k, places_at(t, point, k)[r], h, e);
+        double *to = twx_row_at(f, t->first + k, places_at(t, point, k)[r], h, e);
         if (to) *to = row[r] + f->margins[places_at(t, point, k) + r - f->place];
       }
     }
@@ -59,14 +59,14 @@ static void rows_jacobians(twx_memory *t, const double *z, double *gradient, dou
     twx_call(&f->rows.slopes, t, twx_inputs_at(t, z, point), t->K, t->row_slopes, (R + 1) * size);
     for (size_t k = 0; k < t->K; k++) {
       const size_t lane = k % TWX_LANES;
-      const double weight = f->widths[k] * f->weights[point], *moved = t->lane_moved + lane;
+      const double weight = t->widths[k] * f->weights[point], *moved = t->lane_moved + lane;
       if (lane == 0) move_rows(t, point, k / TWX_LANES, R + 1);
       for (size_t r = 0; point <= (size_t)f->substeps && r < R; r++)
-        twx_add_row(f, k, places_at(t, point, k)[r], moved + r * size * TWX_LANES, TWX_LANES, size, 0, Jh, Je);
+        twx_add_row(f, t->first + k, places_at(t, point, k)[r], moved + r * size * TWX_LANES, TWX_LANES, size, 0, Jh, Je);
       for (size_t j = 0; j < size; j++) {
         const double slope = moved[(R * size + j) * TWX_LANES];
-        gradient[j < nv ? (size_t)f->at.v[k] + j : (size_t)f->parameters_v + j - nv] += weight * slope;
-        if (j >= nv) f->cost_slopes[k * (size - nv) + j - nv] += weight * slope;
+        gradient[j < nv ? (size_t)f->at.v[t->first + k] + j : (size_t)f->parameters_v + j - nv] += weight * slope;
+        if (j >= nv) f->cost_slopes[(t->first + k) * (size - nv) + j - nv] += weight * slope;
       }
     }
   }
@@ -78,7 +78,7 @@ static void add_bends(const twx_memory *t, size_t place) {
   for (size_t block = 0; block < t->blocks; block++) {
     twx_pack(t, block, entries, t->bends, t->lane_rows);
     const double *const maps = twx_is_start(t, place) ? NULL : twx_maps_at(t, place, block);
-    twx_lanes_bends(t, t->lane_rows, maps, t->H + block * entries * TWX_LANES);
+    twx_lanes_bends(t, t->lane_rows, size, maps, t->H + block * entries * TWX_LANES);
   }
 }
 
@@ -86,7 +86,7 @@ static void add_bends(const twx_memory *t, size_t place) {
 static void write_hessians(const twx_memory *t, double *H) {
   const size_t size = t->size;
   for (size_t k = 0; k < t->K; k++) {
-    double *const block = twx_at_stage(H, t->phase->at.H, k);
+    double *const block = twx_at_stage(H, t->phase->at.H, t->first + k);
     const double *const lanes = t->H + k / TWX_LANES * size * size * TWX_LANES + k % TWX_LANES;
     for (size_t r = 0; r < size; r++)
       for (size_t j = r; j < size; j++) block[j * size + r] = block[r * size + j] += lanes[(r * size + j) * TWX_LANES];
@@ -104,8 +104,8 @@ static void rows_hessians(twx_memory *t, const double *z, double weight, const d
     for (size_t k = 0; k < t->K; k++) {
       double *w = t->weights + k * (R + 1);
       for (size_t r = 0; r < R; r++)
-        w[r] = point <= (size_t)f->substeps ? twx_weight_of(f, k, places_at(t, point, k)[r], y, ye) : 0;
-      w[R] = weight * f->widths[k] * f->weights[point];
+        w[r] = point <= (size_t)f->substeps ? twx_weight_of(f, t->first + k, places_at(t, point, k)[r], y, ye) : 0;
+      w[R] = weight * t->widths[k] * f->weights[point];
     }
     if (is_zero(t->weights, t->K * (R + 1))) continue; /* the curvature of other rows is asked for */
     twx_inputs in = twx_inputs_at(t, z, point);
@@ -154,7 +154,7 @@ static void gap_jacobians(twx_memory *t, const double *z, double *F) {
     twx_pack(t, block, n * n, t->gap_slopes, t->lane_rows);
     twx_lanes_along(t, n, t->lane_rows, n, twx_maps_at(t, (size_t)f->substeps, block), t->lane_moved);
     for (size_t l = 0; l < twx_lanes_of(t, block); l++) {
-      double *const to = twx_at_stage(F, f->at.F, block * TWX_LANES + l);
+      double *const to = twx_at_stage(F, f->at.F, t->first + block * TWX_LANES + l);
       for (size_t j = 0; j < size; j++)
         for (size_t i = 0; i < n; i++) to[j * n + i] = t->lane_moved[(i * size + j) * TWX_LANES + l];
     }
@@ -162,10 +162,10 @@ static void gap_jacobians(twx_memory *t, const double *z, double *F) {
 }
 
 /* Second derivatives of the defects by eta at the ends, and the adjoints there. */
-static void gap_hessians(twx_memory *t, const double *z, const double *lambda, double *adjoint, double *H) {
+static void gap_hessians(twx_memory *t, const double *z, const double *lambda, double *adjoint) {
   const twx_phase *f = t->phase;
   const size_t n = t->n, size = t->size;
-  const double *weights = lambda + f->at.c[0];
+  const double *weights = lambda + f->at.c[t->first];
   memset(adjoint, 0, sizeof(double) * t->K * n);
   if (is_zero(weights, t->K * n)) return;
   gap_slopes(t, z);
@@ -179,13 +179,9 @@ static void gap_hessians(twx_memory *t, const double *z, const double *lambda, d
     for (size_t i = 0; i < n; i++)
       for (size_t j = 0; j < n; j++) t->weights[k * n + j] += weights[k * n + i] * t->turns[(k * n + i) * n + j];
   gaps(t, z, &f->gap.bends, t->weights, t->bends, n * n);
-  for (size_t k = 0; k < t->K; k++) {
-    double *const maps = t->map, *const block = twx_at_stage(H, f->at.H, k);
-    twx_map_of(t, (size_t)f->substeps, k, maps);
-    twx_multiply(n, n, size, t->bends + k * n * n, maps, t->moved);
-    for (size_t i = 0; i < n; i++)
-      for (size_t r = 0; r < size; r++)
-        for (size_t j = 0; j < size; j++) block[r * size + j] += maps[i * size + r] * t->moved[i * size + j];
+  for (size_t block = 0; block < t->blocks; block++) {
+    twx_pack(t, block, n * n, t->bends, t->lane_rows);
+    twx_lanes_bends(t, t->lane_rows, n, twx_maps_at(t, (size_t)f->substeps, block), t->H + block * size * size * TWX_LANES);
   }
 }
 
@@ -217,57 +213,70 @@ static void rate_hessians(twx_memory *t, const double *z, double *adjoint) {
 
 static twx_memory memory_of(const twx_phase *f) {
   twx_memory t;
-  twx_lay_out(&t, f, f->work);
+  twx_lay_out(&t, f, f->work, f->scratch);
   return t;
 }
 
 int32_t twx_transcribed_values(void *user, const double *z, double *cost, double *c, double *h, double *e) {
   *cost = 0;
   FOR_PHASES(user, f, t) {
-    if (twx_integrate(&t, z)) return 1;
-    *cost += rows_values(&t, z, h, e) + twx_node_values(&t, z, h, e);
-    gaps(&t, z, &f->gap.value, NULL, c + f->at.c[0], t.n);
-    for (size_t i = 0; f->steps && i < t.K * t.n; i++) c[(size_t)f->at.c[0] + i] -= f->steps[t.n + i];
+    FOR_WINDOWS(t) {
+      if (twx_integrate(&t, z)) return 1;
+      *cost += rows_values(&t, z, h, e);
+      gaps(&t, z, &f->gap.value, NULL, c + f->at.c[t.first], t.n);
+    }
+    *cost += twx_node_values(&t, z, h, e);
+    for (size_t i = 0; f->steps && i < (size_t)f->intervals * t.n; i++) c[(size_t)f->at.c[0] + i] -= f->steps[t.n + i];
     if (f->join) twx_join_values(&t, z, c);
   }
   return 0;
 }
 
-int32_t twx_transcribed_jacobians(void *user, const double *z, double *gradient, double *F, double *Jh, double *Je) {
+/* Derivatives of a window, of the first order where F is no NULL, and of the second where H is none. */
+static int32_t window_derivatives(twx_memory *t, const double *z, const twx_multipliers *weights, const twx_derivatives *d) {
+  if (twx_sensitivities(t, z)) return 1;
+  if (d->F) rows_jacobians(t, z, d->gradient, d->Jh, d->Je), gap_jacobians(t, z, d->F);
+  if (!d->H) return 0;
+  memset(t->H, 0, sizeof(double) * t->blocks * t->size * t->size * TWX_LANES);
+  rows_hessians(t, z, weights->cost, weights->y, weights->ye);
+  gap_hessians(t, z, weights->lambda, t->adjoint);
+  rate_hessians(t, z, t->adjoint);
+  write_hessians(t, d->H);
+  return 0;
+}
+
+int32_t twx_transcribed_derivatives(void *user, const double *z, const twx_multipliers *weights, const twx_derivatives *d) {
   FOR_PHASES(user, f, t) {
-    if (twx_sensitivities(&t, z)) return 1;
-    memset(f->cost_slopes, 0, sizeof(double) * (t.K + 1) * (size_t)f->p);
-    rows_jacobians(&t, z, gradient, Jh, Je);
-    twx_node_jacobians(&t, z, gradient, Jh, Je);
-    gap_jacobians(&t, z, F);
-    if (f->join) twx_join_jacobians(&t, z, F);
+    if (d->F) memset(f->cost_slopes, 0, sizeof(double) * (size_t)(f->intervals + 1) * (size_t)f->p);
+    FOR_WINDOWS(t) if (window_derivatives(&t, z, weights, d)) return 1;
+    if (d->F) twx_node_jacobians(&t, z, d->gradient, d->Jh, d->Je);
+    if (d->F && f->join) twx_join_jacobians(&t, z, d->F);
+    if (d->H) twx_node_hessians(&t, z, weights->cost, weights->y, weights->ye, d->H);
+    if (d->H && f->join) twx_join_hessians(&t, z, weights->lambda, d->H);
   }
   return 0;
+}
+
+int32_t twx_transcribed_jacobians(void *user, const double *z, double *gradient, double *F, double *Jh, double *Je) {
+  const twx_derivatives d = {gradient, F, Jh, Je, NULL};
+  return twx_transcribed_derivatives(user, z, NULL, &d);
 }
 
 int32_t twx_transcribed_hessians(void *user, const double *z, double weight, const double *lambda, const double *y,
                                  const double *ye, double *H) {
-  FOR_PHASES(user, f, t) {
-    if (twx_sensitivities(&t, z)) return 1;
-    memset(t.H, 0, sizeof(double) * t.blocks * t.size * t.size * TWX_LANES);
-    rows_hessians(&t, z, weight, y, ye);
-    twx_node_hessians(&t, z, weight, y, ye, H);
-    gap_hessians(&t, z, lambda, t.adjoint, H);
-    rate_hessians(&t, z, t.adjoint);
-    write_hessians(&t, H);
-    if (f->join) twx_join_hessians(&t, z, lambda, H);
-  }
-  return 0;
+  const twx_multipliers weights = {weight, lambda, y, ye};
+  const twx_derivatives d = {NULL, NULL, NULL, NULL, H};
+  return twx_transcribed_derivatives(user, z, &weights, &d);
 }
 
 int32_t twx_transcribed_retract(void *user, const double *z, const double *d, double *moved) {
   FOR_PHASES(user, f, t) {
-    const size_t nodes = t.K + 1, stride = (size_t)(f->point + f->m), m = (size_t)f->m;
+    const size_t nodes = (size_t)f->intervals + 1, stride = (size_t)(f->point + f->m), m = (size_t)f->m;
     for (size_t k = 0; k < nodes; k++) {
       const double *step = d + f->at.v[k], *from = z + f->at.z[k];
       double *to = moved + f->at.z[k];
       for (size_t i = 0; !f->retract.run && i < t.n; i++) to[i] = from[i] + step[i];
-      for (size_t i = 0; k < t.K && i < m; i++) to[(size_t)f->point + i] = from[(size_t)f->point + i] + step[t.n + i];
+      for (size_t i = 0; k + 1 < nodes && i < m; i++) to[(size_t)f->point + i] = from[(size_t)f->point + i] + step[t.n + i];
     }
     if (f->retract.run) {
       const twx_inputs in = {.z = d + f->at.v[0], .width = t.n + m, .base = z + f->at.z[0]};
@@ -275,7 +284,7 @@ int32_t twx_transcribed_retract(void *user, const double *z, const double *d, do
     }
     /* What a join leaves free is where the next node is: the step to it from there is taken. */
     for (int32_t i = 0; f->join && i < f->join->free_count; i++) {
-      const size_t at = (size_t)f->at.z[t.K] + (size_t)f->point + (size_t)i, v = (size_t)f->at.v[t.K] + t.n;
+      const size_t at = (size_t)f->at.z[f->intervals] + (size_t)f->point + (size_t)i, v = (size_t)f->at.v[f->intervals] + t.n;
       moved[at] = z[at] + d[v + (size_t)i] - d[v + (size_t)f->join->free_count + (size_t)f->join->free[i]];
     }
     for (int64_t i = 0; i < f->p; i++)
