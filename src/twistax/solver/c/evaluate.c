@@ -27,13 +27,16 @@ int32_t twx_evaluate(twx_work *w, twx_values *at) {
   return !isfinite(sum + at->cost);
 }
 
-/* Rows of a block (rows, n) of a stage by `scale`, columns by the units of the variables; a sum that tells NaN. */
-static double scale_block(const twx_work *w, const twx_stage *stage, int32_t rows, double *block, const double *scale) {
+/* Rows of a block (rows, n) of a stage by `scale`, columns by the units of the variables; a sum that tells NaN, of columns
+ * apart so that one does not wait for another. */
+static double scale_block(const twx_work *w, const twx_stage *stage, int32_t rows, double *block, const double *restrict scale) {
   double sum = 0;
   for (int32_t j = 0; j < stage->n; j++) {
     const double size = size_of(w, stage, j);
-    double *column = block + (size_t)j * (size_t)rows;
-    for (int32_t i = 0; i < rows; i++) sum += column[i] *= size * scale[i];
+    double *restrict column = block + (size_t)j * (size_t)rows, of_column = 0;
+    for (int32_t i = 0; i < rows; i++) column[i] *= size * scale[i];
+    for (int32_t i = 0; i < rows; i++) of_column += column[i];
+    sum += of_column;
   }
   return sum;
 }

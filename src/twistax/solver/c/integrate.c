@@ -264,7 +264,7 @@ static void explicit_maps(const twx_memory *t, size_t j, size_t block) {
   for (size_t i = 0; i < s; i++) {
     const size_t place = stage_place(t, j * s + i);
     const double *const J = t->J + (j * s + i) * t->K * entries;
-    twx_pack(t, block, entries, J, twx_is_start(t, place) ? along : t->lane_rows);
+    twx_pack(t, block, entries, entries, J, twx_is_start(t, place) ? along : t->lane_rows);
     if (!twx_is_start(t, place)) twx_lanes_along(t, t->n, t->lane_rows, t->size, twx_maps_at(t, place, block), along);
     for (size_t l = i + 1; l < s; l++) advance_maps(t, block, f->a[l * s + i], along, stage_place(t, j * s + l));
     advance_maps(t, block, f->b[i], along, j + 1);
@@ -292,15 +292,15 @@ static void explicit_adjoints(twx_memory *t, size_t j, size_t k, double *adjoint
   const size_t s = (size_t)f->stages, n = t->n;
   const double length = t->widths[k] / f->substeps;
   for (size_t i = s; i-- > 0;) {
-    double *own = t->adjoints + (i * t->K + k) * n, *back = t->through + (i * t->K + k) * n;
-    const double *J = t->J + ((j * s + i) * t->K + k) * n * t->size;
+    double *restrict own = t->adjoints + (i * t->K + k) * n, *restrict back = t->through + (i * t->K + k) * n;
+    const double *restrict J = t->J + ((j * s + i) * t->K + k) * n * t->size;
     for (size_t d = 0; d < n; d++) {
       double sum = f->b[i] * adjoint[d];
       for (size_t l = i + 1; l < s; l++) sum += f->a[l * s + i] * t->through[(l * t->K + k) * n + d];
       own[d] = length * sum, back[d] = 0;
     }
     for (size_t r = 0; r < n; r++)
-      for (size_t d = 0; d < n; d++) back[d] += own[r] * J[r * t->size + d];
+      for (size_t d = 0; d < n && own[r] != 0; d++) back[d] += own[r] * J[r * t->size + d];
   }
   for (size_t i = 0; i < s; i++)
     for (size_t d = 0; d < n; d++) adjoint[d] += t->through[(i * t->K + k) * n + d];

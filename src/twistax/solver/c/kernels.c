@@ -151,7 +151,7 @@ void twx_lu_solve_transposed(size_t n, const double *A, const double *pivots, do
 }
 
 /* out (rows, columns) = A (rows, n) B (n, columns) */
-void twx_multiply(size_t rows, size_t n, size_t columns, const double *A, const double *B, double *out) {
+void twx_multiply(size_t rows, size_t n, size_t columns, const double *restrict A, const double *restrict B, double *restrict out) {
   memset(out, 0, sizeof(double) * rows * columns);
   for (size_t i = 0; i < rows; i++)
     for (size_t l = 0; l < n; l++) {

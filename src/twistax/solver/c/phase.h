@@ -50,7 +50,7 @@ typedef struct { /* what a kernel reads: rows of `width` and `weight_width` numb
 } twx_inputs;
 TWX_INTERNAL void twx_call(const twx_kernel *f, const twx_memory *t, twx_inputs in, size_t rows, double *result, size_t size);
 /* out (rows, columns) = A (rows, n) B (n, columns) */
-TWX_INTERNAL void twx_multiply(size_t rows, size_t n, size_t columns, const double *A, const double *B, double *out);
+TWX_INTERNAL void twx_multiply(size_t rows, size_t n, size_t columns, const double *restrict A, const double *restrict B, double *restrict out);
 /* Blocks and rows of stages. */
 TWX_INTERNAL double *twx_at_stage(double *array, const int64_t *offsets, size_t k);
 TWX_INTERNAL double *twx_row_at(const twx_phase *f, size_t k, int32_t place, double *h, double *e);
@@ -59,7 +59,7 @@ TWX_INTERNAL void twx_add_row(const twx_phase *f, size_t k, int32_t place, const
                               size_t skipped, double *Jh, double *Je);
 /* lanes.c */
 TWX_INTERNAL size_t twx_lanes_of(const twx_memory *t, size_t block); /* intervals of a block */
-TWX_INTERNAL void twx_pack(const twx_memory *t, size_t block, size_t width, const double *rows, double *lanes);
+TWX_INTERNAL void twx_pack(const twx_memory *t, size_t block, size_t stride, size_t width, const double *rows, double *lanes);
 TWX_INTERNAL double *twx_maps_at(const twx_memory *t, size_t place, size_t block);
 TWX_INTERNAL void twx_lanes_along(const twx_memory *t, size_t rows, const double *M, size_t width, const double *maps, double *out);
 TWX_INTERNAL void twx_lanes_bends(const twx_memory *t, const double *M, size_t width, const double *maps, double *H);
