@@ -9,8 +9,17 @@ from typing import Any
 import numpy as np
 from numpy import ndarray as Array
 
-from .core import COUNTS, MEASURES, MULTIPLIERS, CoreStatus, ProblemStructure, SolutionStructure, StatisticsStructure
-from .core import Units, as_problem
+from .core import (
+    COUNTS,
+    MEASURES,
+    MULTIPLIERS,
+    CoreStatus,
+    ProblemStructure,
+    SolutionStructure,
+    StatisticsStructure,
+    Units,
+    as_problem,
+)
 from .library import library
 from .options import Options
 from .transcription import Transcription
