@@ -17,7 +17,7 @@ p, v, m = tx.State("p", shape=(3,)), tx.State("v", shape=(3,)), tx.State("m")  #
 thrust = tx.Control("thrust", shape=(3,))  # N
 engine = tx.Parameter("engine", value=1.0)  # thrust over what is commanded
 wind = tx.Parameter("wind", value=np.zeros(3))  # acceleration by it, m/s^2
-size, gravity = tx.linalg.Norm(thrust), np.array([0.0, 0.0, -3.71])
+size, gravity, gusts = tx.linalg.Norm(thrust), np.array([0.0, 0.0, -3.71]), np.array([0.03, 0.03, 0.0])  # m/s^2
 lander = tx.compile(
     tx.System(
         rates={p: v, v: engine * thrust / m + wind + gravity, m: -5e-4 * engine * size},
@@ -35,8 +35,7 @@ guidance = tx.trajectory.solution(problem)
 def dispersed(key):
     a, b, c, d = jax.random.split(key, 4)
     x = {"p": start["p"] + 40.0 * jax.random.normal(a, (3,)), "v": start["v"] + 3.0 * jax.random.normal(b, (3,))}
-    gust = 0.03 * jax.random.normal(d, (3,)) * np.array([1.0, 1.0, 0.0])
-    params = {"engine": 1.0 + 0.02 * jax.random.normal(c), "wind": gust}
+    params = {"engine": 1.0 + 0.02 * jax.random.normal(c), "wind": gusts * jax.random.normal(d, (3,))}
     return {"x": {**x, "m": jnp.asarray(start["m"])}, "params": params}
 
 
