@@ -25,8 +25,9 @@ def test_the_sources_are_strict_c99_without_allocation(tmp_path: Path) -> None:
     external = {line.split()[-1] for line in symbols if re.search(r" [TU] ", line)}
     assert {name for name in external if name.startswith("twx_")} == {
         *("twx_count", "twx_defaults", "twx_option_name", "twx_option_source", "twx_options_count"),
-        *("twx_solve", "twx_linearised", "twx_workspace_size", "twx_phase_work", "twx_phase_states"),
-        *(f"twx_transcribed_{name}" for name in ("values", "jacobians", "hessians", "retract")),
+        *("twx_solve", "twx_linearised", "twx_workspace_size"),
+        *(f"twx_phase_{name}" for name in ("work", "scratch", "states")),
+        *(f"twx_transcribed_{name}" for name in ("values", "jacobians", "hessians", "derivatives", "retract")),
         *("twx_qp_defaults", "twx_qp_option_name", "twx_qp_option_source", "twx_qp_options_count"),
         *("twx_qp_solve", "twx_qp_workspace_size", "twx_form_memory", "twx_solve_members", "twx_linearised_members"),
         *("twx_solve_handler", "twx_linearised_handler", "twx_squares_handler", "twx_squares_solve"),

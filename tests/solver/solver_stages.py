@@ -125,7 +125,7 @@ class Staged:
 
 
 def refusing(problem: Staged, first: int, last: int) -> list[int]:
-    """Values are not finite from one call to another; counts the calls."""
+    """Values are not finite from one call to another, of which the second is the first trial; counts the calls."""
     values, calls = problem._numbers, [0]
 
     def numbers(z: Array) -> Any:

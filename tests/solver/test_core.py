@@ -247,7 +247,7 @@ def test_a_start_that_is_not_finite_returns_no_leftovers() -> None:
 def test_a_line_search_without_violation_ends() -> None:
     """There the shortest step is zero long: lengths that are halved must still come to an end."""
     problem = Staged([Stage(1, cost=lambda x, u, p: (x[0] - 1) ** 2, after=lambda x, u, p: [x[0]]), Stage(1)])
-    calls = refusing(problem, 3, 10**9)
+    calls = refusing(problem, 2, 10**9)
     assert problem.solve(np.zeros(2)).status is not CoreStatus.SOLVED
     assert calls[0] < 3000
 
@@ -269,7 +269,7 @@ def test_equalities_may_depend_on_each_other(count: int) -> None:
 def test_a_small_violation_is_restored(off: float) -> None:
     """After a line search that failed. Squares of so small a violation are no stationary point of it."""
     problem = Staged([Stage(1, after=lambda x, u, p: [x[0]]), Stage(1, equalities=lambda x, u, p: [x[0] - 1.0])])
-    refusing(problem, 3, 60)
+    refusing(problem, 2, 59)
     solution = problem.solve(np.full(2, 1.0 + off))
     assert solution.statistics["restorations"] == 1
     assert solution.status is CoreStatus.SOLVED

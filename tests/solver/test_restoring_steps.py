@@ -40,7 +40,7 @@ def test_corrections_of_curved_dynamics_allow_long_steps(limit: float) -> None:
     """The search begins with a restoration, for no trial of its first step has values. Without corrections a step of it
     breaks the dynamics more than it reduces the violation, and is halved: five or six steps for two."""
     problem, start = car(limit)
-    refusing(problem, 3, 60)
+    refusing(problem, 2, 59)
     solution = problem.solve(start)
     assert solution.status is CoreStatus.SOLVED
     assert solution.statistics["restorations"] == 1

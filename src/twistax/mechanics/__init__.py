@@ -24,9 +24,12 @@ from .algorithms.momentum import (
     total_mass,
 )
 from .bodies import SpatialInertia, power
-from .contact import Bristles, GivenForces, Ground, given_forces .control.differential DifferentialController,
-DifferentialStep, StepStatus .control.operational_space OperationalSpace, computed_torque, operational_space
-.distances.distance_grid DistanceGrid .distances.pairs clearances, soft_minimum .distances.polytope ConvexPolytope
+from .contact import Bristles, GivenForces, Ground, given_forces
+from .control.differential import DifferentialController, DifferentialStep, StepStatus
+from .control.operational_space import OperationalSpace, computed_torque, operational_space
+from .distances.distance_grid import DistanceGrid
+from .distances.pairs import clearances, soft_minimum
+from .distances.polytope import ConvexPolytope
 from .distances.signed_distance import signed_distance
 from .distances.solids import HalfSpace
 from .drives import Drive

@@ -136,6 +136,9 @@ class ProblemStructure(ctypes.Structure):
             (name, ctypes.c_void_p)
             for name in ("largest_step", "user", "values", "jacobians", "hessians", "retract", "transport", "stop")
         ),
+        ("derivatives", ctypes.c_void_p),
+        ("scratch", ctypes.c_size_t),
+        *((name, ctypes.c_int32) for name in ("filter_rows", "without_watchdog", "discards")),
     ]
 
 

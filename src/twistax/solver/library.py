@@ -22,7 +22,7 @@ _C_LIBRARY = ("log", "log10", "memcpy", "memset", "pow", "sched_yield", "time")
 _VOID_POINTER = ctypes.c_void_p
 
 _NAMES = (
-    *("twx_workspace_size", "twx_solve", "twx_phase_work", "twx_phase_states"),
+    *("twx_workspace_size", "twx_solve", "twx_phase_work", "twx_phase_scratch", "twx_phase_states"),
     *("twx_qp_workspace_size", "twx_qp_solve"),
     *("twx_form_memory", "twx_solve_members", "twx_linearised_members"),
     "twx_squares_workspace",
@@ -41,7 +41,7 @@ class Library:
     Attributes:
         workspace_size: doubles that a problem needs.
         solve: see core.h.
-        phase_work: doubles that a phase needs.
+        phase_work, phase_scratch: doubles that a phase needs, for its functions and for their derivatives.
         phase_states: where a substep ends in the last integration.
         transcribed: addresses of the functions of a transcribed problem, see transcription.h.
         qp_workspace_size, qp_solve: the same of a dense quadratic program, see qp.h.
@@ -52,9 +52,10 @@ class Library:
 
     def __init__(self, code: MachineCode) -> None:
         self._code = code  # the memory of the functions
-        size, solve, work, states, qp_size, qp_solve, *members = (code.addresses[name] for name in _NAMES)
+        size, solve, work, scratch, states, qp_size, qp_solve, *members = (code.addresses[name] for name in _NAMES)
         self.workspace_size = ctypes.CFUNCTYPE(ctypes.c_size_t, _VOID_POINTER)(size)
         self.phase_work = ctypes.CFUNCTYPE(ctypes.c_size_t, _VOID_POINTER)(work)
+        self.phase_scratch = ctypes.CFUNCTYPE(ctypes.c_size_t, _VOID_POINTER)(scratch)
         self.phase_states = ctypes.CFUNCTYPE(None, _VOID_POINTER, ctypes.c_int32, _VOID_POINTER)(states)
         self.transcribed = {name: code.addresses[f"twx_transcribed_{name}"] for name in _TRANSCRIBED}
         self.solve = ctypes.CFUNCTYPE(ctypes.c_int32, *[_VOID_POINTER] * 6)(solve)

@@ -9,7 +9,17 @@ from typing import Any
 import numpy as np
 from numpy import ndarray as Array
 
-from .core import COUNTS, MEASURES, MULTIPLIERS, CoreStatus, SolutionStructure, StatisticsStructure, Units, as_problem
+from .core import (
+    COUNTS,
+    MEASURES,
+    MULTIPLIERS,
+    CoreStatus,
+    ProblemStructure,
+    SolutionStructure,
+    StatisticsStructure,
+    Units,
+    as_problem,
+)
 from .library import library
 from .options import Options
 from .transcription import Transcription
@@ -40,7 +50,6 @@ class PreparedSolve:
         sizes = {"z": stages.points, "v": stages.variables, "s": rows, "lam": defects, "y": rows, "ye": equalities}
         sizes |= {"zl": stages.variables, "zu": stages.variables}
         self._memory = np.zeros(sum(sizes.values()))
-        self._before = np.zeros_like(self._memory)
         parts = np.split(self._memory, np.cumsum(list(sizes.values()))[:-1])
         self.z, self.v, self.s, self.lam, self.y, self.ye, self.zl, self.zu = parts
         self.lower, self.upper = (np.array(a, float) for a in bounds)
@@ -48,6 +57,7 @@ class PreparedSolve:
         self._units = units = Units(size, row_size, equality_size, units.cost)
         self._described = as_problem(stages, transcription.functions, self.lower, self.upper, units, largest_step)
         self._transcription, problem = transcription, self._described.structure
+        problem.discards = True
         self.options = options.as_structure()
         self._statistics = StatisticsStructure()
         self._deadline = 0.0
@@ -84,10 +94,7 @@ class PreparedSolve:
             problem.stop = None
         else:
             problem.stop, self._deadline = self._stop_address, time.perf_counter() + seconds
-        np.copyto(self._before, self._memory)
         status = CoreStatus(self._call(*self._pointers))
-        if status in LOST:
-            np.copyto(self._memory, self._before)
         self._transcription.check()
         return status
 
@@ -106,10 +113,12 @@ class PreparedSolve:
         """Go back to what was saved."""
         self._memory[:], self.lower[:], self.upper[:] = saved
 
-    @property
-    def workspace_doubles(self) -> int:
-        """Doubles of the core's workspace."""
-        return len(self._workspace)
+    def workspace_doubles(self, **layout: int) -> int:
+        """Doubles of the core's workspace where numbers of `twx_problem` that lay it out are these."""
+        problem = ProblemStructure.from_buffer_copy(self._described.structure)
+        for name, value in layout.items():
+            setattr(problem, name, value)
+        return int(library().workspace_size(ctypes.byref(problem)))
 
     def measure(self, name: str) -> float:
         """A number of the last solve, as `CoreSolution.statistics` names it."""

@@ -100,6 +100,13 @@ def options(file: str) -> list[tuple[str, float, str]]:
     return [(m["name"], float(m["value"]), m["source"]) for m in entry.finditer(_read(file))]
 
 
+def constant(file: str, name: str) -> int:
+    """A whole number that a header defines."""
+    defined = re.search(rf"^#define {name} (\d+)", _read(file), re.MULTILINE)
+    assert defined is not None, name
+    return int(defined[1])
+
+
 def _read(name: str) -> str:
     return (_FOLDER / name).read_text()
 

@@ -50,8 +50,8 @@ class PhaseStructure(ctypes.Structure):
         *((name, KernelStructure) for name in ("retract", "turn")),
         ("node", ctypes.c_void_p),
         ("join", ctypes.c_void_p),
-        ("cost_slopes", ctypes.c_void_p),
-        ("work", ctypes.c_void_p),
+        ("window", ctypes.c_int32),
+        *((name, ctypes.c_void_p) for name in ("cost_slopes", "work", "scratch")),
     ]
 
 

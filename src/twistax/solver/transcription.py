@@ -196,7 +196,7 @@ class Transcription:
         described = (self._described(k, *of_phase) for k, of_phase in enumerate(numbers))
         self._structures = (PhaseStructure * len(phases))(*described)
         for structure in self._structures:
-            structure.work = self._array(np.zeros(library().phase_work(ctypes.addressof(structure))))
+            structure.work, structure.scratch = (self._array(np.zeros(size)) for size in _doubles(structure))
         self.structure = TranscriptionStructure(len(phases), ctypes.addressof(self._structures))
         addresses: dict[str, Any] = {"user": ctypes.addressof(self.structure), **library().transcribed}
         self.functions = StageFunctions(owner=self, **addresses)
@@ -206,10 +206,13 @@ class Transcription:
         """The arrays that structures point to, by address."""
         return {array.ctypes.data: array for array in self._memory if isinstance(array, np.ndarray)}
 
-    @property
-    def phase_doubles(self) -> int:
-        """Doubles of the memory of all phases."""
-        return sum(int(library().phase_work(ctypes.addressof(structure))) for structure in self._structures)
+    def phase_doubles(self, window: int) -> tuple[int, int]:
+        """Doubles of the memory of the first phase, for functions and for derivatives, where so many intervals are
+        evaluated together.
+        """
+        structure = PhaseStructure.from_buffer_copy(self._structures[0])
+        structure.window = window
+        return _doubles(structure)
 
     @property
     def described(self) -> ctypes.Array[Any]:
@@ -367,6 +370,11 @@ class Transcription:
             for k, (rows, (stage, _)) in enumerate(zip(of_nodes, phase.kernels.nodes)):
                 nodes[k] = np.where(rows >= 0, rows + before[stage], nodes[k])
         return path, nodes
+
+
+def _doubles(structure: PhaseStructure) -> tuple[int, int]:
+    core, address = library(), ctypes.addressof(structure)
+    return int(core.phase_work(address)), int(core.phase_scratch(address))
 
 
 def _codes(inequality: Array, equality: Array) -> Array:

@@ -34,6 +34,15 @@ typedef enum {
   TWX_ACCEPTABLE = 9         /* errors are acceptable, and did not fall to the tolerance in so many iterations */
 } twx_status;
 
+typedef struct { /* weights of a sum of functions, in the problem's units */
+  double cost;
+  const double *lambda, *y, *ye;
+} twx_multipliers;
+
+typedef struct { /* where derivatives are written, as `jacobians` and `hessians` have them; H may be NULL */
+  double *gradient, *F, *Jh, *Je, *H;
+} twx_derivatives;
+
 /* Functions return 0, or another number where the point must be rejected. Outputs of values, jacobians and hessians are
  * zero before the call; `retract` writes all of `moved`, `transport` changes lambda in place. */
 typedef struct {
@@ -62,6 +71,12 @@ typedef struct {
   /* multipliers of c about the node that `retract` moved by d; NULL where they stay */
   int32_t (*transport)(void *user, const double *d, double *lambda);
   int32_t (*stop)(void *user, int32_t iteration, const double *z); /* asked once an iteration; NULL: never */
+  /* Both derivatives at once, where that saves work; NULL: `jacobians` and `hessians` are called. */
+  int32_t (*derivatives)(void *user, const double *z, const twx_multipliers *weights, const twx_derivatives *result);
+  size_t scratch;             /* doubles at the start of the workspace that functions may overwrite while they differentiate */
+  int32_t filter_rows;        /* entries of the filter, 0: 400. A solve adds one an iteration at most */
+  int32_t without_watchdog;   /* 1: there is no memory for it, which solves of few iterations do not need */
+  int32_t discards;           /* 1: a solve whose iterate has no meaning leaves z and the solution as they were */
 } twx_problem;
 
 #define OPTION(name, value, source) double name;

@@ -27,25 +27,38 @@ int32_t twx_evaluate(twx_work *w, twx_values *at) {
   return !isfinite(sum + at->cost);
 }
 
-/* Rows of a block (rows, n) of a stage by `scale`, columns by the units of the variables; a sum that tells NaN. */
-static double scale_block(const twx_work *w, const twx_stage *stage, int32_t rows, double *block, const double *scale) {
+/* Rows of a block (rows, n) of a stage by `scale`, columns by the units of the variables; a sum that tells NaN, of columns
+ * apart so that one does not wait for another. */
+static double scale_block(const twx_work *w, const twx_stage *stage, int32_t rows, double *block, const double *restrict scale) {
   double sum = 0;
   for (int32_t j = 0; j < stage->n; j++) {
     const double size = size_of(w, stage, j);
-    double *column = block + (size_t)j * (size_t)rows;
-    for (int32_t i = 0; i < rows; i++) sum += column[i] *= size * scale[i];
+    double *restrict column = block + (size_t)j * (size_t)rows, of_column = 0;
+    for (int32_t i = 0; i < rows; i++) column[i] *= size * scale[i];
+    for (int32_t i = 0; i < rows; i++) of_column += column[i];
+    sum += of_column;
   }
   return sum;
 }
 
-int32_t twx_differentiate(twx_work *w) {
-  const twx_problem *p = w->problem;
+/* The functions at the iterate are those of the trial. */
+void twx_take_values(twx_work *w) {
+  twx_values *const to = &w->here;
+  const twx_values *const from = &w->trial;
+  memcpy(to->z, from->z, sizeof(double) * w->points), memcpy(to->c, from->c, sizeof(double) * w->defects);
+  memcpy(to->h, from->h, sizeof(double) * w->rows), memcpy(to->e, from->e, sizeof(double) * (size_t)w->ne);
+  to->cost = from->cost;
+}
+
+static void clear_jacobians(twx_work *w) {
   const twx_stage *end = w->stages + w->N;
-  double sum = 0;
   memset(w->gradient, 0, sizeof(double) * w->variables);
   memset(w->F, 0, sizeof(double) * end->F), memset(w->Jh, 0, sizeof(double) * (end->Jh + (size_t)end->nh * (size_t)end->n));
   memset(w->Je, 0, sizeof(double) * (end->Je + (size_t)end->ne * (size_t)end->n));
-  if (p->jacobians(p->user, w->here.z, w->gradient, w->F, w->Jh, w->Je)) return 1;
+}
+
+static int32_t scale_jacobians(twx_work *w) {
+  double sum = 0;
   for (size_t i = 0; i < w->variables; i++) sum += w->gradient[i] *= w->cost_scale * w->size[i];
   FOR_STAGES(w, k, s) {
     double *inverse = w->t0;
@@ -55,6 +68,13 @@ int32_t twx_differentiate(twx_work *w) {
     sum += scale_block(w, s, s->ne, w->Je + s->Je, w->equality_scale + s->e);
   }
   return !isfinite(sum);
+}
+
+int32_t twx_differentiate(twx_work *w) {
+  const twx_problem *p = w->problem;
+  clear_jacobians(w);
+  w->has_hessian = 0;
+  return p->jacobians(p->user, w->here.z, w->gradient, w->F, w->Jh, w->Je) || scale_jacobians(w);
 }
 
 /* The multipliers in the problem's units, in `t3`, in the order of lambda, y, ye. */
@@ -70,19 +90,46 @@ static double *unscaled_multipliers(twx_work *w) {
   return lambda;
 }
 
-int32_t twx_differentiate_twice(twx_work *w) {
-  const twx_problem *p = w->problem;
+static twx_multipliers weights_of(twx_work *w) {
+  const double *const lambda = unscaled_multipliers(w), *const y = lambda + w->defects;
+  return (twx_multipliers){w->cost_scale, lambda, y, y + w->rows};
+}
+
+static void clear_hessians(twx_work *w) {
   const twx_stage *end = w->stages + w->N;
-  const double *lambda = unscaled_multipliers(w), *y = lambda + w->defects, *ye = y + w->rows;
-  double sum = 0;
   memset(w->H, 0, sizeof(double) * (end->H + (size_t)end->n * (size_t)end->n));
-  if (p->hessians(p->user, w->here.z, w->cost_scale, lambda, y, ye, w->H)) return 1;
+}
+
+static int32_t scale_hessians(twx_work *w) {
+  double sum = 0;
   FOR_STAGES(w, k, s) {
     double *size = w->t0;
     for (int32_t i = 0; i < s->n; i++) size[i] = size_of(w, s, i);
     sum += scale_block(w, s, s->n, w->H + s->H, size);
   }
   return !isfinite(sum);
+}
+
+int32_t twx_differentiate_twice(twx_work *w) {
+  const twx_problem *p = w->problem;
+  if (w->has_hessian) return 0;
+  const twx_multipliers q = weights_of(w);
+  clear_hessians(w);
+  if (p->hessians(p->user, w->here.z, q.cost, q.lambda, q.y, q.ye, w->H) || scale_hessians(w)) return 1;
+  w->has_hessian = 1;
+  return 0;
+}
+
+/* Both at once where the problem can and another step follows. */
+int32_t twx_differentiate_both(twx_work *w) {
+  const twx_problem *p = w->problem;
+  const twx_derivatives to = {w->gradient, w->F, w->Jh, w->Je, w->H};
+  if (!p->derivatives || w->statistics->iterations >= (int32_t)w->options->iterations) return twx_differentiate(w);
+  const twx_multipliers q = weights_of(w);
+  clear_jacobians(w), clear_hessians(w);
+  if (p->derivatives(p->user, w->here.z, &q, &to) || scale_jacobians(w) || scale_hessians(w)) return 1;
+  w->has_hessian = 1;
+  return 0;
 }
 
 /* Entries of z that are those of v and have a bound at zero: sums of steps drift apart by rounding, and what is divided by

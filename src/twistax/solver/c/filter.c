@@ -21,7 +21,7 @@ void twx_filter_add(twx_work *w, double violation, double barrier) {
     if (row[0] >= most && row[1] >= least) continue;
     w->filter[2 * kept] = row[0], w->filter[2 * kept + 1] = row[1], kept++;
   }
-  if (kept == TWX_FILTER_ROWS) kept--;
+  if (kept == w->filter_size) kept--;
   w->filter[2 * kept] = most, w->filter[2 * kept + 1] = least, w->filter_rows = kept + 1;
 }
 

@@ -9,9 +9,9 @@ static void join(const twx_memory *t, size_t place, const double *eta, const dou
   for (size_t k = 0; k < t->K; k++) {
     double *q = t->q + (place * t->K + k) * t->size;
     if (eta) memcpy(q, eta + k * t->n, sizeof(double) * t->n);
-    memcpy(q + t->n, z + f->at.z[0] + k * stride + (size_t)f->point, sizeof(double) * (size_t)f->m);
+    memcpy(q + t->n, z + f->at.z[t->first] + k * stride + (size_t)f->point, sizeof(double) * (size_t)f->m);
     memcpy(q + t->n + f->m, p, sizeof(double) * (size_t)f->p);
-    t->shares[place * t->K + k] = f->starts[k] + f->widths[k] * within;
+    t->shares[place * t->K + k] = t->starts[k] + t->widths[k] * within;
   }
 }
 
@@ -20,7 +20,8 @@ static size_t stage_place(const twx_memory *t, size_t stage) { return (size_t)t-
 static double *q_of(const twx_memory *t, size_t place) { return t->q + place * t->K * t->size; }
 
 twx_inputs twx_inputs_at(const twx_memory *t, const double *z, size_t place) {
-  return (twx_inputs){.z = q_of(t, place), .width = t->size, .share = t->shares + place * t->K, .base = z + t->phase->at.z[0]};
+  return (twx_inputs){.z = q_of(t, place), .width = t->size, .share = t->shares + place * t->K,
+                      .base = z + t->phase->at.z[t->first], .stage = t->first};
 }
 
 static void rates(const twx_memory *t, const double *z, size_t stage, double *slopes) {
@@ -36,7 +37,7 @@ static void rate_slopes(const twx_memory *t, const double *z, size_t stage) {
 static void advance(const twx_memory *t, size_t substep, const double *weights, size_t count, size_t place) {
   const size_t s = (size_t)t->phase->stages;
   for (size_t k = 0; k < t->K; k++) {
-    const double length = t->phase->widths[k] / t->phase->substeps;
+    const double length = t->widths[k] / t->phase->substeps;
     const double *from = q_of(t, substep) + k * t->size;
     double *to = q_of(t, place) + k * t->size;
     for (size_t i = 0; i < t->n; i++) {
@@ -52,7 +53,7 @@ static void advance(const twx_memory *t, size_t substep, const double *weights, 
 static int32_t factorize_stages(const twx_memory *t, size_t substep, size_t k) {
   const twx_phase *f = t->phase;
   const size_t s = (size_t)f->stages, n = t->n, sn = s * n;
-  const double length = f->widths[k] / f->substeps;
+  const double length = t->widths[k] / f->substeps;
   double *M = t->matrix + k * sn * sn;
   for (size_t i = 0; i < s; i++)
     for (size_t r = 0; r < n; r++)
@@ -75,7 +76,7 @@ static double improve(const twx_memory *t, const double *z, size_t substep) {
   }
   for (size_t k = 0; k < t->K; k++) {
     double step = 0, scale = 0;
-    const double length = f->widths[k] / f->substeps;
+    const double length = t->widths[k] / f->substeps;
     for (size_t i = 0; i < s; i++)
       for (size_t d = 0; d < n; d++)
         r[i * n + d] = t->slopes[((substep * s + i) * t->K + k) * n + d] - value[(i * t->K + k) * n + d];
@@ -104,7 +105,7 @@ static void first_slopes(const twx_memory *t, const double *z, size_t substep, d
   for (size_t k = 0; k < t->K; k++) {
     singular = 0;
     for (size_t i = 0; i < t->n; i++) singular |= !isfinite(slopes[k * t->n + i]);
-    for (size_t i = 0; i < t->n && singular; i++) slopes[k * t->n + i] = -t->defects[k * t->n + i] / f->widths[k];
+    for (size_t i = 0; i < t->n && singular; i++) slopes[k * t->n + i] = -t->defects[k * t->n + i] / t->widths[k];
   }
 }
 
@@ -133,17 +134,12 @@ static int32_t differ(const double *a, const double *b, size_t count) {
   return 0;
 }
 
-/* The memory for a point, integrated. Other than 0 where implicit stages are not solved. */
-int32_t twx_integrate(twx_memory *t, const double *z) {
+static int32_t integrate_window(twx_memory *t, const double *z) {
   const twx_phase *f = t->phase;
-  const size_t S = (size_t)f->substeps, s = (size_t)f->stages, stride = (size_t)(f->point + f->m);
-  const size_t inner = t->K * stride + (size_t)f->point;
-  const double *own = z + f->at.z[0], *p = z + f->parameters_z;
-  if (*t->state > 0 && !differ(t->at, own, inner) && !differ(t->at + inner, p, (size_t)f->p)) return 0;
-  *t->state = 0;
+  const size_t S = (size_t)f->substeps, s = (size_t)f->stages;
   memset(q_of(t, 0), 0, sizeof(double) * t->K * t->size);
   for (size_t k = 0; f->steps && k < t->K; k++)
-    memcpy(q_of(t, 0) + k * t->size, f->steps + k * t->n, sizeof(double) * t->n);
+    memcpy(q_of(t, 0) + k * t->size, f->steps + (t->first + k) * t->n, sizeof(double) * t->n);
   join(t, 0, NULL, z, 0);
   for (size_t j = 0; j < S; j++) {
     for (size_t i = 0; i < s; i++) join(t, stage_place(t, j * s + i), NULL, z, ((double)j + f->c[i]) / (double)S);
@@ -155,6 +151,18 @@ int32_t twx_integrate(twx_memory *t, const double *z) {
     join(t, j + 1, NULL, z, (double)(j + 1) / (double)S);
     advance(t, j, f->b, s, j + 1);
   }
+  return 0;
+}
+
+/* The memory for a point, integrated, unless it is kept. Other than 0 where implicit stages are not solved. */
+int32_t twx_integrate(twx_memory *t, const double *z) {
+  const twx_phase *f = t->phase;
+  const size_t inner = t->K * (size_t)(f->point + f->m) + (size_t)f->point;
+  const double *own = z + f->at.z[0], *p = z + f->parameters_z;
+  if (f->window > 0) return integrate_window(t, z);
+  if (*t->state > 0 && !differ(t->at, own, inner) && !differ(t->at + inner, p, (size_t)f->p)) return 0;
+  *t->state = 0;
+  if (integrate_window(t, z)) return 1;
   memcpy(t->at, own, sizeof(double) * inner), memcpy(t->at + inner, p, sizeof(double) * (size_t)f->p);
   *t->state = 1;
   return 0;
@@ -162,7 +170,7 @@ int32_t twx_integrate(twx_memory *t, const double *z) {
 
 void twx_phase_states(const twx_phase *f, int32_t substep, double *eta) {
   twx_memory t;
-  twx_lay_out(&t, f, f->work);
+  twx_lay_out(&t, f, f->work, f->scratch);
   for (size_t k = 0; k < t.K; k++)
     memcpy(eta + k * t.n, q_of(&t, (size_t)substep) + k * t.size, sizeof(double) * t.n);
 }
@@ -175,24 +183,44 @@ int32_t twx_is_start(const twx_memory *t, size_t place) {
   return place == 0 || (!t->phase->implicit && place == stage_place(t, 0));
 }
 
+/* Starts have no memory of their own. */
+double *twx_maps_at(const twx_memory *t, size_t place, size_t block) {
+  const size_t before = place > stage_place(t, 0) && !t->phase->implicit ? place - 2 : place - 1;
+  return t->maps + (before * t->blocks + block) * t->n * t->size * TWX_LANES;
+}
+
+static void one_of(const twx_memory *t, size_t stride, double *map) { /* that of a start */
+  memset(map, 0, sizeof(double) * t->n * t->size * stride);
+  for (size_t i = 0; i < t->n; i++)
+    for (size_t l = 0; l < stride; l++) map[i * (t->size + 1) * stride + l] = 1;
+}
+
 /* The sensitivity of one interval. */
 void twx_map_of(const twx_memory *t, size_t place, size_t k, double *map) {
+  if (twx_is_start(t, place)) {
+    one_of(t, 1, map);
+    return;
+  }
   const double *const lanes = twx_maps_at(t, place, k / TWX_LANES) + k % TWX_LANES;
   for (size_t i = 0; i < t->n * t->size; i++) map[i] = lanes[i * TWX_LANES];
 }
 
-/* Sensitivities at a place: those of the substep's start plus those of slopes, by these weights. */
-static void advance_maps(const twx_memory *t, size_t substep, size_t block, const double *weights, size_t count, size_t place) {
-  const size_t s = (size_t)t->phase->stages, entries = t->n * t->size;
+/* Sensitivities at a place begin as those of the substep's start. */
+static void start_maps(const twx_memory *t, size_t substep, size_t block, size_t place) {
+  double *const to = twx_maps_at(t, place, block);
+  if (twx_is_start(t, substep)) one_of(t, TWX_LANES, to);
+  else memcpy(to, twx_maps_at(t, substep, block), sizeof(double) * t->n * t->size * TWX_LANES);
+}
+
+/* Sensitivities at a place += those of a stage's slope, by this weight. */
+static void advance_maps(const twx_memory *t, size_t block, double weight, const double *restrict from, size_t place) {
+  const size_t entries = t->n * t->size;
   double *restrict to = twx_maps_at(t, place, block), factor[TWX_LANES] = {0};
-  memcpy(to, twx_maps_at(t, substep, block), sizeof(double) * entries * TWX_LANES);
-  for (size_t i = 0; i < count; i++) {
-    const double *restrict from = along_of(t, substep * s + i, block);
-    for (size_t l = 0; l < twx_lanes_of(t, block); l++)
-      factor[l] = t->phase->widths[block * TWX_LANES + l] / t->phase->substeps * weights[i];
-    for (size_t e = 0; e < entries && weights[i] != 0; e++)
-      for (size_t l = 0; l < TWX_LANES; l++) to[e * TWX_LANES + l] += factor[l] * from[e * TWX_LANES + l];
-  }
+  if (weight == 0) return;
+  for (size_t l = 0; l < twx_lanes_of(t, block); l++)
+    factor[l] = t->widths[block * TWX_LANES + l] / t->phase->substeps * weight;
+  for (size_t e = 0; e < entries; e++)
+    for (size_t l = 0; l < TWX_LANES; l++) to[e * TWX_LANES + l] += factor[l] * from[e * TWX_LANES + l];
 }
 
 /* Sensitivities of the slopes of a substep, of one interval. */
@@ -204,55 +232,57 @@ static int32_t implicit_along(const twx_memory *t, size_t j, size_t k) {
   if (!factorize_stages(t, j, k)) return 1;
   twx_lu_solve(sn, t->matrix + k * sn * sn, t->right + (sn + s) * t->size, t->size, t->right);
   for (size_t i = 0; i < s; i++) {
-    double *const lanes = along_of(t, j * s + i, k / TWX_LANES) + k % TWX_LANES;
+    double *const lanes = along_of(t, i, k / TWX_LANES) + k % TWX_LANES;
     for (size_t e = 0; e < entries; e++) lanes[e * TWX_LANES] = t->right[i * entries + e];
   }
   return 0;
 }
 
 static int32_t implicit_maps(const twx_memory *t, size_t j, size_t block) {
-  const size_t s = (size_t)t->phase->stages, first = block * TWX_LANES;
-  for (size_t i = 0; i < s; i++) memset(along_of(t, j * s + i, block), 0, sizeof(double) * t->n * t->size * TWX_LANES);
+  const twx_phase *f = t->phase;
+  const size_t s = (size_t)f->stages, first = block * TWX_LANES;
+  for (size_t i = 0; i < s; i++) memset(along_of(t, i, block), 0, sizeof(double) * t->n * t->size * TWX_LANES);
   for (size_t l = 0; l < twx_lanes_of(t, block); l++)
     if (implicit_along(t, j, first + l)) return 1;
-  for (size_t i = 0; i < s; i++) advance_maps(t, j, block, t->phase->a + i * s, s, stage_place(t, j * s + i));
+  for (size_t i = 0; i <= s; i++) {
+    const size_t place = i < s ? stage_place(t, j * s + i) : j + 1;
+    const double *const weights = i < s ? f->a + i * s : f->b;
+    start_maps(t, j, block, place);
+    for (size_t l = 0; l < s; l++) advance_maps(t, block, weights[l], along_of(t, l, block), place);
+  }
   return 0;
 }
 
+/* The sensitivity of each stage's slope adds to those of the stages after it and of the end. */
 static void explicit_maps(const twx_memory *t, size_t j, size_t block) {
-  const size_t s = (size_t)t->phase->stages, entries = t->n * t->size;
+  const twx_phase *f = t->phase;
+  const size_t s = (size_t)f->stages, entries = t->n * t->size;
+  double *const along = t->lane_moved;
+  for (size_t i = 0; i < s; i++)
+    if (!twx_is_start(t, stage_place(t, j * s + i))) start_maps(t, j, block, stage_place(t, j * s + i));
+  start_maps(t, j, block, j + 1);
   for (size_t i = 0; i < s; i++) {
-    const size_t stage = j * s + i, place = stage_place(t, stage);
-    const double *const J = t->J + stage * t->K * entries;
-    if (twx_is_start(t, place)) {
-      twx_pack(t, block, entries, J, along_of(t, stage, block));
-      continue;
-    }
-    advance_maps(t, j, block, t->phase->a + i * s, i, place);
-    twx_pack(t, block, entries, J, t->lane_rows);
-    twx_lanes_along(t, t->n, t->lane_rows, t->size, twx_maps_at(t, place, block), along_of(t, stage, block));
+    const size_t place = stage_place(t, j * s + i);
+    const double *const J = t->J + (j * s + i) * t->K * entries;
+    twx_pack(t, block, entries, entries, J, twx_is_start(t, place) ? along : t->lane_rows);
+    if (!twx_is_start(t, place)) twx_lanes_along(t, t->n, t->lane_rows, t->size, twx_maps_at(t, place, block), along);
+    for (size_t l = i + 1; l < s; l++) advance_maps(t, block, f->a[l * s + i], along, stage_place(t, j * s + l));
+    advance_maps(t, block, f->b[i], along, j + 1);
   }
 }
 
 /* Sensitivities of all stages and ends of substeps. Other than 0 where the point cannot be integrated. */
 int32_t twx_sensitivities(twx_memory *t, const double *z) {
   const twx_phase *f = t->phase;
-  const size_t S = (size_t)f->substeps;
   if (twx_integrate(t, z)) return 1;
-  if (*t->state > 1) return 0;
+  if (f->window == 0 && *t->state > 1) return 0;
   for (size_t i = 0; i < t->stages; i++) rate_slopes(t, z, i);
-  for (size_t block = 0; block < t->blocks; block++) {
-    double *const start = twx_maps_at(t, 0, block);
-    memset(start, 0, sizeof(double) * t->n * t->size * TWX_LANES);
-    for (size_t i = 0; i < t->n; i++)
-      for (size_t l = 0; l < TWX_LANES; l++) start[i * (t->size + 1) * TWX_LANES + l] = 1;
-    for (size_t j = 0; j < S; j++) {
+  for (size_t block = 0; block < t->blocks; block++)
+    for (size_t j = 0; j < (size_t)f->substeps; j++) {
       if (!f->implicit) explicit_maps(t, j, block);
       else if (implicit_maps(t, j, block)) return 1;
-      advance_maps(t, j, block, f->b, (size_t)f->stages, j + 1);
     }
-  }
-  *t->state = 2;
+  *t->state = f->window == 0 ? 2 : 0;
   return 0;
 }
 
@@ -260,17 +290,17 @@ int32_t twx_sensitivities(twx_memory *t, const double *z) {
 static void explicit_adjoints(twx_memory *t, size_t j, size_t k, double *adjoint) {
   const twx_phase *f = t->phase;
   const size_t s = (size_t)f->stages, n = t->n;
-  const double length = f->widths[k] / f->substeps;
+  const double length = t->widths[k] / f->substeps;
   for (size_t i = s; i-- > 0;) {
-    double *own = t->adjoints + (i * t->K + k) * n, *back = t->through + (i * t->K + k) * n;
-    const double *J = t->J + ((j * s + i) * t->K + k) * n * t->size;
+    double *restrict own = t->adjoints + (i * t->K + k) * n, *restrict back = t->through + (i * t->K + k) * n;
+    const double *restrict J = t->J + ((j * s + i) * t->K + k) * n * t->size;
     for (size_t d = 0; d < n; d++) {
       double sum = f->b[i] * adjoint[d];
       for (size_t l = i + 1; l < s; l++) sum += f->a[l * s + i] * t->through[(l * t->K + k) * n + d];
       own[d] = length * sum, back[d] = 0;
     }
     for (size_t r = 0; r < n; r++)
-      for (size_t d = 0; d < n; d++) back[d] += own[r] * J[r * t->size + d];
+      for (size_t d = 0; d < n && own[r] != 0; d++) back[d] += own[r] * J[r * t->size + d];
   }
   for (size_t i = 0; i < s; i++)
     for (size_t d = 0; d < n; d++) adjoint[d] += t->through[(i * t->K + k) * n + d];
@@ -279,7 +309,7 @@ static void explicit_adjoints(twx_memory *t, size_t j, size_t k, double *adjoint
 static void implicit_adjoints(twx_memory *t, size_t j, size_t k, double *adjoint) {
   const twx_phase *f = t->phase;
   const size_t s = (size_t)f->stages, n = t->n, sn = s * n;
-  const double length = f->widths[k] / f->substeps, *pulls = t->pulls + ((size_t)f->substeps + 1 + j * s) * t->K * n;
+  const double length = t->widths[k] / f->substeps, *pulls = t->pulls + ((size_t)f->substeps + 1 + j * s) * t->K * n;
   double *r = t->right;
   factorize_stages(t, j, k);
   for (size_t i = 0; i < s; i++)

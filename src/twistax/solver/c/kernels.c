@@ -7,40 +7,62 @@ static double *next_of(double *base, size_t *used, size_t count) {
   return start;
 }
 
-size_t twx_lay_out(twx_memory *t, const twx_phase *f, double *base) {
-  const size_t K = (size_t)f->intervals, n = (size_t)f->n, size = n + (size_t)f->m + (size_t)f->p;
+size_t twx_window_of(const twx_phase *f) {
+  return f->window > 0 && f->window < f->intervals ? (size_t)f->window : (size_t)f->intervals;
+}
+
+/* Rows of the largest function of a phase. */
+static size_t most_rows(const twx_phase *f) {
+  size_t rows = (size_t)f->path_rows + 1;
+  for (int32_t i = 0; i < f->nodes; i++) rows = twx_most(rows, (size_t)f->node[i].function.rows);
+  return f->join ? twx_most(rows, (size_t)f->join->function.rows) : rows;
+}
+
+twx_phase_sizes twx_lay_out(twx_memory *t, const twx_phase *f, double *work, double *scratch) {
+  const size_t n = (size_t)f->n, size = n + (size_t)f->m + (size_t)f->p, rows = most_rows(f), K = twx_window_of(f);
   const size_t S = (size_t)f->substeps, s = (size_t)f->stages, all = S * s, sn = f->implicit ? s * n : 0;
-  size_t used = 0, rows = (size_t)f->path_rows + 1;
-  for (int32_t i = 0; i < f->nodes; i++)
-    if ((size_t)f->node[i].function.rows > rows) rows = (size_t)f->node[i].function.rows;
-  const size_t joined = f->join ? (size_t)f->join->function.rows : 0;
-  if (joined > rows) rows = joined;
-  const size_t blocks = (K + TWX_LANES - 1) / TWX_LANES, lanes = blocks * TWX_LANES, wide = rows > size ? rows : size;
-  *t = (twx_memory){.phase = f, .K = K, .n = n, .size = size, .stages = all, .blocks = blocks};
+  const size_t lanes = (K + TWX_LANES - 1) / TWX_LANES * TWX_LANES, joined = f->join ? (size_t)f->join->function.rows : 0;
+  const size_t block = twx_most(rows, size) * size * TWX_LANES, stages = all * K * n * size;
+  twx_phase_sizes used = {0, 0};
+  *t = (twx_memory){.phase = f, .n = n, .size = size, .stages = all};
   t->points = S + 1 + (f->implicit ? all : 0);
-  t->state = next_of(base, &used, 1);
-  t->at = next_of(base, &used, (K + 1) * (size_t)f->point + K * (size_t)f->m + (size_t)f->p);
-  t->q = next_of(base, &used, (S + 1 + all) * K * size), t->shares = next_of(base, &used, (S + 1 + all) * K);
-  t->slopes = next_of(base, &used, all * K * n), t->J = next_of(base, &used, all * K * n * size);
-  t->maps = next_of(base, &used, (S + 1 + all) * lanes * n * size), t->along = next_of(base, &used, all * lanes * n * size);
-  t->H = next_of(base, &used, lanes * size * size), t->map = next_of(base, &used, n * size);
-  t->lane_rows = next_of(base, &used, wide * size * TWX_LANES), t->lane_moved = next_of(base, &used, wide * size * TWX_LANES);
-  t->list = (int32_t *)(void *)next_of(base, &used, size);
-  t->gap_slopes = next_of(base, &used, K * n * n), t->turns = next_of(base, &used, K * n * n);
-  t->defects = next_of(base, &used, K * n);
-  t->adjoints = next_of(base, &used, s * K * n), t->through = next_of(base, &used, s * K * n);
-  t->pulls = next_of(base, &used, t->points * K * n);
-  t->rows = next_of(base, &used, K * rows), t->row_slopes = next_of(base, &used, K * rows * size);
-  t->adjoint = next_of(base, &used, K * n);
-  t->bends = next_of(base, &used, K * size * size), t->moved = next_of(base, &used, size * size + joined * (joined + size));
-  t->matrix = next_of(base, &used, K * sn * sn), t->right = next_of(base, &used, (sn + s) * size + sn);
-  t->weights = next_of(base, &used, K * (rows > n ? rows : n)), t->q_node = next_of(base, &used, n + (size_t)f->p);
+  t->state = next_of(work, &used.work, 1);
+  t->at = next_of(work, &used.work, f->window > 0 ? 0 : (K + 1) * (size_t)f->point + K * (size_t)f->m + (size_t)f->p);
+  t->q = next_of(work, &used.work, (S + 1 + all) * K * size), t->shares = next_of(work, &used.work, (S + 1 + all) * K);
+  t->slopes = next_of(work, &used.work, all * K * n), t->rows = next_of(work, &used.work, K * rows);
+  t->defects = next_of(work, &used.work, K * n), t->q_node = next_of(work, &used.work, n + (size_t)f->p);
+  t->matrix = next_of(work, &used.work, K * sn * sn), t->right = next_of(work, &used.work, f->implicit ? (sn + s) * size + sn : 0);
+  /* Implicit stages are differentiated where they are solved. */
+  t->J = f->implicit ? next_of(work, &used.work, stages) : next_of(scratch, &used.scratch, stages);
+  t->adjoints = f->implicit ? next_of(work, &used.work, s * K * n) : next_of(scratch, &used.scratch, s * K * n);
+  t->maps = next_of(scratch, &used.scratch, (S + all - !f->implicit) * lanes * n * size);
+  t->along = next_of(scratch, &used.scratch, f->implicit ? s * lanes * n * size : 0);
+  t->H = next_of(scratch, &used.scratch, lanes * size * size), t->map = next_of(scratch, &used.scratch, n * size);
+  t->turns = t->lane_rows = next_of(scratch, &used.scratch, twx_most(block, K * n * n));
+  t->lane_moved = next_of(scratch, &used.scratch, block), t->list = (int32_t *)(void *)next_of(scratch, &used.scratch, size);
+  t->through = next_of(scratch, &used.scratch, s * K * n), t->pulls = next_of(scratch, &used.scratch, t->points * K * n);
+  t->gap_slopes = t->row_slopes = next_of(scratch, &used.scratch, K * twx_most(rows * size, n * n));
+  t->adjoint = next_of(scratch, &used.scratch, K * n), t->bends = next_of(scratch, &used.scratch, K * size * size);
+  t->moved = next_of(scratch, &used.scratch, size * size + joined * (joined + size));
+  t->weights = next_of(scratch, &used.scratch, K * twx_most(rows, n));
+  twx_open_window(t, 0);
   return used;
+}
+
+void twx_open_window(twx_memory *t, size_t first) {
+  const size_t left = (size_t)t->phase->intervals - first, window = twx_window_of(t->phase);
+  t->first = first, t->K = left < window ? left : window, t->blocks = (t->K + TWX_LANES - 1) / TWX_LANES;
+  t->starts = t->phase->starts + first, t->widths = t->phase->widths + first;
 }
 
 size_t twx_phase_work(const twx_phase *f) {
   twx_memory t;
-  return twx_lay_out(&t, f, NULL);
+  return twx_lay_out(&t, f, NULL, NULL).work;
+}
+
+size_t twx_phase_scratch(const twx_phase *f) {
+  twx_memory t;
+  return twx_lay_out(&t, f, NULL, NULL).scratch;
 }
 
 void twx_call(const twx_kernel *f, const twx_memory *t, twx_inputs in, size_t rows, double *result, size_t size) {
@@ -129,7 +151,7 @@ void twx_lu_solve_transposed(size_t n, const double *A, const double *pivots, do
 }
 
 /* out (rows, columns) = A (rows, n) B (n, columns) */
-void twx_multiply(size_t rows, size_t n, size_t columns, const double *A, const double *B, double *out) {
+void twx_multiply(size_t rows, size_t n, size_t columns, const double *restrict A, const double *restrict B, double *restrict out) {
   memset(out, 0, sizeof(double) * rows * columns);
   for (size_t i = 0; i < rows; i++)
     for (size_t l = 0; l < n; l++) {

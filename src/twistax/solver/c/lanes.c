@@ -5,29 +5,26 @@
 
 #define L TWX_LANES
 
-/* Rows (intervals, width) of a block of intervals as lanes (width, L); lanes beyond the last interval are zero. */
-void twx_pack(const twx_memory *t, size_t block, size_t width, const double *restrict rows, double *restrict lanes) {
+/* Rows of a block of intervals, so many of `stride` entries, as lanes (width, L); lanes beyond the last interval are zero. */
+void twx_pack(const twx_memory *t, size_t block, size_t stride, size_t width, const double *restrict rows, double *restrict lanes) {
   const size_t first = block * L, count = twx_lanes_of(t, block);
-  const double *const from = rows + first * width;
+  const double *const from = rows + first * stride;
   for (size_t e = 0; e < width && count == L; e++)
-    for (size_t l = 0; l < L; l++) lanes[e * L + l] = from[l * width + e];
+    for (size_t l = 0; l < L; l++) lanes[e * L + l] = from[l * stride + e];
   for (size_t e = 0; e < width && count < L; e++)
-    for (size_t l = 0; l < L; l++) lanes[e * L + l] = l < count ? from[l * width + e] : 0;
+    for (size_t l = 0; l < L; l++) lanes[e * L + l] = l < count ? from[l * stride + e] : 0;
 }
 
 size_t twx_lanes_of(const twx_memory *t, size_t block) { return t->K - block * L < L ? t->K - block * L : L; }
-
-double *twx_maps_at(const twx_memory *t, size_t place, size_t block) {
-  return t->maps + (place * t->blocks + block) * t->n * t->size * L;
-}
 
 /* List the entries of a row that are not zero in some lane; how many there are. */
 static size_t list_entries(size_t count, const double *row, int32_t *list) {
   size_t used = 0;
   for (size_t i = 0; i < count; i++) {
-    double any = 0;
-    for (size_t l = 0; l < L; l++) any += fabs(row[i * L + l]);
-    if (any != 0) list[used++] = (int32_t)i;
+    uint64_t bits[L], any = 0; /* but for signs: integers are compared faster */
+    memcpy(bits, row + i * L, sizeof bits);
+    for (size_t l = 0; l < L; l++) any |= bits[l];
+    list[used] = (int32_t)i, used += any << 1 != 0;
   }
   return used;
 }
@@ -39,24 +36,28 @@ typedef struct { /* sum of a[i] b[i] over a list of i; strides in entries */
   size_t a_stride, b_stride;
 } products;
 
-/* to (columns,) += the products with as many columns of b. */
+static inline void add_lanes(double *restrict sums, const double *restrict a, const double *restrict b) {
+  for (size_t l = 0; l < L; l++) sums[l] += a[l] * b[l];
+}
+
+/* to (columns,) += the products with as many columns of b, at most four. Arrays of a vector each stay in registers. */
 static inline void add_columns(const products *p, size_t columns, size_t first, double *restrict to) {
-  double sums[2 * L];
-  for (size_t e = 0; e < columns * L; e++) sums[e] = to[first * L + e];
+  double sums0[L], sums1[L], sums2[L], sums3[L];
+  double *const sums[] = {sums0, sums1, sums2, sums3};
+  for (size_t c = 0; c < columns; c++) memcpy(sums[c], to + (first + c) * L, sizeof sums0);
   for (size_t q = 0; q < p->count; q++) {
     const size_t i = (size_t)p->list[q];
-    const double *restrict a = p->a + i * p->a_stride * L, *restrict b = p->b + (i * p->b_stride + first) * L;
-    for (size_t c = 0; c < columns; c++)
-      for (size_t l = 0; l < L; l++) sums[c * L + l] += a[l] * b[c * L + l];
+    const double *const a = p->a + i * p->a_stride * L, *const b = p->b + (i * p->b_stride + first) * L;
+    for (size_t c = 0; c < columns; c++) add_lanes(sums[c], a, b + c * L);
   }
-  for (size_t e = 0; e < columns * L; e++) to[first * L + e] = sums[e];
+  for (size_t c = 0; c < columns; c++) memcpy(to + (first + c) * L, sums[c], sizeof sums0);
 }
 
 /* The same for columns first <= j < end. */
 static void add_products(const products *p, size_t first, size_t end, double *to) {
   size_t j = first;
-  for (; j + 2 <= end; j += 2) add_columns(p, 2, j, to);
-  if (j < end) add_columns(p, 1, j, to);
+  for (; j + 4 <= end; j += 4) add_columns(p, 4, j, to);
+  for (; j < end; j++) add_columns(p, 1, j, to);
 }
 
 /* As `twx_along`, of a block. */
@@ -72,9 +73,10 @@ void twx_lanes_along(const twx_memory *t, size_t rows, const double *M, size_t w
   }
 }
 
-/* The upper triangle of H += G' M G of a block, with G the sensitivities of q: maps (n, size), then the unknowns
- * themselves; without maps G is one. Many rows of M are zero: rates are linear in most of their arguments. */
-void twx_lanes_bends(const twx_memory *t, const double *M, const double *maps, double *H) {
+/* The upper triangle of H += G' M G of a block, with M (width, width) and G the sensitivities of eta or of q: maps
+ * (n, size), then the unknowns themselves; without maps G is one. Many rows of M are zero: rates are linear in most of
+ * their arguments. */
+void twx_lanes_bends(const twx_memory *t, const double *M, size_t width, const double *maps, double *H) {
   const size_t n = t->n, size = t->size;
   double *const moved = t->lane_moved;
   int32_t *const rows = t->list + size;
@@ -82,9 +84,9 @@ void twx_lanes_bends(const twx_memory *t, const double *M, const double *maps, d
   for (size_t r = 0; r < size && !maps; r++)
     for (size_t e = (r * size + r) * L; e < (r + 1) * size * L; e++) H[e] += M[e];
   if (!maps) return;
-  for (size_t i = 0; i < size; i++) {
-    if (!list_entries(size, M + i * size * L, t->list)) continue;
-    twx_lanes_along(t, 1, M + i * size * L, size, maps, moved + i * size * L);
+  for (size_t i = 0; i < width; i++) {
+    if (!list_entries(width, M + i * width * L, t->list)) continue;
+    twx_lanes_along(t, 1, M + i * width * L, width, maps, moved + i * size * L);
     rows[count++] = (int32_t)i;
   }
   size_t of_states = 0; /* how many of these rows */

@@ -48,7 +48,7 @@ static int32_t correct(twx_work *w, twx_reference *from, double length) {
 
 /* The corrected step takes the place of the step; those of the multipliers of bounds follow from it. */
 static void use_corrected(twx_work *w, twx_search *search) {
-  twx_copy_iterate(w, &w->step, &w->corrected);
+  twx_copy_step(w, &w->step, &w->corrected);
   twx_step_of_bounds(w, &w->step);
   search->length_multipliers = twx_dual_length(w, &w->step);
 }
@@ -125,7 +125,7 @@ twx_outcome twx_line_search(twx_work *w, twx_search *search) {
     search->kind = tiny ? 't' : 'r';
     return twx_move(w, &w->step, longest) ? TWX_NO_STEP : TWX_STEP;
   }
-  if (!search->watching && o->watchdog_trigger > 0 && search->shortened >= (int32_t)o->watchdog_trigger)
+  if (!search->watching && w->watchdog_z && o->watchdog_trigger > 0 && search->shortened >= (int32_t)o->watchdog_trigger)
     start_watchdog(w, search, &from, longest);
   return search->watching ? watch(w, search, longest) : backtrack(w, search, &from, longest);
 }
@@ -169,8 +169,6 @@ void twx_accept(twx_work *w, double length, double length_multipliers, double ba
       q->zu[i] = twx_max(twx_min(q->zu[i] + length_multipliers * d->zu[i], range * central), central / range);
     }
   }
-  twx_values before = w->here;
-  w->here.z = w->trial.z, w->here.c = w->trial.c, w->here.h = w->trial.h, w->here.e = w->trial.e, w->here.cost = w->trial.cost;
-  w->trial.z = before.z, w->trial.c = before.c, w->trial.h = before.h, w->trial.e = before.e;
+  twx_take_values(w);
   if (length > 0) transport(w, length);
 }

@@ -13,7 +13,7 @@
 
 static size_t side_size(const twx_work *w) { return w->variables + w->defects + w->rows + (size_t)w->ne; }
 
-/* The units of moves, in `watchdog`, and of right sides, in `corrected`, by v | c | h | e. */
+/* The units of moves, in `best`, and of right sides, in `corrected`, by v | c | h | e. */
 static void units_of_sides(twx_work *w, double *moves, double *sides) {
   double *const of_c = moves + w->variables, *const c = sides + w->variables;
   for (size_t i = 0; i < w->variables; i++)
@@ -90,8 +90,8 @@ static twx_status adopt(twx_work *w, const twx_point *at) {
   memcpy(w->here.z, at->z, sizeof(double) * w->points), memcpy(q->lambda, at->lambda, sizeof(double) * w->defects);
   memcpy(q->y, at->y, sizeof(double) * w->rows), memcpy(q->ye, at->ye, sizeof(double) * (size_t)w->ne);
   if (!twx_read_problem(w)) return TWX_BAD_PROBLEM;
-  take_weights(w, at);
   if (twx_evaluate(w, &w->here) || twx_differentiate(w) || twx_differentiate_twice(w)) return TWX_NON_FINITE;
+  take_weights(w, at);
   twx_place_equalities(w);
   return TWX_SOLVED;
 }
@@ -107,7 +107,7 @@ int32_t twx_linearised(const twx_problem *problem, const twx_options *options, c
   if (status != TWX_SOLVED) return status;
   /* What is zero may be above it by rounding: a strict minimum is one with a little less on the diagonal, too. */
   if (!twx_factorize_weighted(w, -options->curvature) || !twx_factorize_weighted(w, 0)) return TWX_UNBOUNDED_CURVATURE;
-  double *const moves = w->watchdog.v, *const units = w->corrected.v;
+  double *const moves = w->best.v, *const units = w->corrected.v;
   const size_t n = side_size(w);
   units_of_sides(w, moves, units);
   const double *const before = transposed ? moves : units, *const after = transposed ? units : moves;

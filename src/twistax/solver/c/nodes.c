@@ -9,7 +9,7 @@ static twx_inputs node_inputs(const twx_memory *t, const double *z, const twx_no
   const size_t k = (size_t)node->stage;
   for (size_t i = 0; i < t->n; i++) t->q_node[i] = f->steps ? f->steps[k * t->n + i] : 0;
   memcpy(t->q_node + t->n, z + f->parameters_z, sizeof(double) * (size_t)f->p);
-  *share = k < t->K ? f->starts[k] : f->starts[k - 1] + f->widths[k - 1];
+  *share = k < (size_t)f->intervals ? f->starts[k] : f->starts[k - 1] + f->widths[k - 1];
   return (twx_inputs){.z = t->q_node, .width = t->n + (size_t)f->p, .share = share, .base = z + f->at.z[k],
                       .weights = t->weights, .weight_width = (size_t)node->function.rows, .stage = k};
 }
@@ -48,7 +48,7 @@ void twx_node_jacobians(twx_memory *t, const double *z, double *gradient, double
     for (int32_t r = 0; r < rows; r++)
       twx_add_row(f, k, node->place[r], t->row_slopes + (size_t)r * columns, 1, columns, controls_at(f, k), Jh, Je);
     for (size_t j = n; has_cost(f, i) && j < columns; j++)
-      f->cost_slopes[t->K * (columns - n) + j - n] = t->row_slopes[(size_t)rows * columns + j];
+      f->cost_slopes[(size_t)f->intervals * (columns - n) + j - n] = t->row_slopes[(size_t)rows * columns + j];
     for (size_t j = 0; has_cost(f, i) && j < columns; j++)
       gradient[j < n ? (size_t)f->at.v[k] + j : (size_t)f->parameters_v + j - n] += t->row_slopes[(size_t)rows * columns + j];
   }
@@ -93,10 +93,10 @@ static twx_inputs join_inputs(const twx_memory *t, const double *z) {
 void twx_join_values(const twx_memory *t, const double *z, double *c) {
   const twx_phase *f = t->phase;
   const twx_join *join = f->join;
-  double *const gap = twx_at_stage(c, f->at.c, t->K);
+  double *const gap = twx_at_stage(c, f->at.c, (size_t)f->intervals);
   twx_call(&join->function.value, t, join_inputs(t, z), 1, gap, (size_t)join->function.rows);
   for (int32_t i = 0; f[1].steps && i < join->function.rows; i++) gap[i] -= f[1].steps[i];
-  for (int32_t i = 0; i < join->free_count; i++) gap[join->free[i]] = z[f->at.z[t->K] + f->point + i];
+  for (int32_t i = 0; i < join->free_count; i++) gap[join->free[i]] = z[f->at.z[f->intervals] + f->point + i];
 }
 
 /* The left Jacobian of the join's defect, and where rows are not multiplied by it 0. */
@@ -114,7 +114,7 @@ void twx_join_jacobians(twx_memory *t, const double *z, double *F) {
   const twx_join *join = f->join;
   const size_t rows = (size_t)join->function.rows, n = t->n, columns = n + (size_t)f->p, skipped = (size_t)join->free_count;
   double *slopes = t->row_slopes, *const turn = t->moved, *const turned = t->moved + rows * rows;
-  double *const to = twx_at_stage(F, f->at.F, t->K);
+  double *const to = twx_at_stage(F, f->at.F, (size_t)f->intervals);
   twx_call(&join->function.slopes, t, join_inputs(t, z), 1, slopes, rows * columns);
   if (join_turn(t, z, turn)) twx_multiply(rows, rows, columns, turn, slopes, turned), slopes = turned;
   for (size_t j = 0; j < columns; j++)
@@ -125,10 +125,10 @@ void twx_join_jacobians(twx_memory *t, const double *z, double *F) {
 void twx_join_hessians(twx_memory *t, const double *z, const double *lambda, double *H) {
   const twx_phase *f = t->phase;
   const size_t rows = (size_t)f->join->function.rows, columns = t->n + (size_t)f->p;
-  const double *const own = lambda + f->at.c[t->K];
+  const double *const own = lambda + f->at.c[f->intervals];
   if (!f->join->function.bends.run) return;
   memcpy(t->weights, own, sizeof(double) * rows);
   if (join_turn(t, z, t->moved)) twx_multiply(1, rows, rows, own, t->moved, t->weights);
   twx_call(&f->join->function.bends, t, join_inputs(t, z), 1, t->bends, columns * columns);
-  add_node_bends(f, t->K, t->bends, H);
+  add_node_bends(f, (size_t)f->intervals, t->bends, H);
 }

@@ -4,23 +4,24 @@
 #include "transcription.h"
 #include "work.h"
 
-#define TWX_LANES 8 /* intervals side by side: two or more vectors of any processor */
+#define TWX_LANES 4 /* intervals side by side: a vector or two of any processor */
 
-typedef struct { /* arrays of a phase; K intervals, S substeps, s stages; size = n + m + p */
+typedef struct { /* arrays of a window of a phase: K intervals, S substeps, s stages; size = n + m + p */
   const twx_phase *phase;
-  size_t K, n, size, stages, points, blocks; /* stages: S s; points: S + 1, and S s where stages are looked at;
-                                                blocks: of TWX_LANES intervals */
+  size_t first, K, n, size, stages, points, blocks; /* first: interval of the window; stages: S s; points: S + 1, and S s
+                                                       where stages are looked at; blocks: of TWX_LANES intervals */
+  const double *starts, *widths; /* of its intervals */
   double *state;                /* how far the memory is filled: 1 integrated, 2 differentiated too */
-  double *at;                   /* the point for which it is */
+  double *at;                   /* the point for which it is; both only where the window is the whole phase */
   double *q, *shares;           /* (S + 1 + S s, K, size), (S + 1 + S s, K): ends of substeps, then stages */
   double *slopes;               /* (S s, K, n): of the stages */
   double *J;                    /* (S s, K, n, size): derivatives of the rate by q */
-  double *maps;                 /* (S + 1 + S s, blocks, n, size, lanes): sensitivities of eta */
-  double *along;                /* (S s, blocks, n, size, lanes): sensitivities of the stages' slopes */
+  double *maps;                 /* (places, blocks, n, size, lanes): sensitivities of eta, but for starts, where they are one */
+  double *along;                /* of implicit stages (s, blocks, n, size, lanes): sensitivities of their slopes */
   double *H;                    /* (blocks, size, size, lanes): second derivatives, the upper triangle */
   double *lane_rows, *lane_moved; /* scratch: a matrix of a block, and another */
   int32_t *list;                /* (2 size) scratch */
-  double *gap_slopes, *turns;   /* (K, n, n) */
+  double *gap_slopes, *turns;   /* (K, n, n), in memory of `row_slopes` and of `lane_rows` */
   double *defects;              /* (K, n) */
   double *adjoint;              /* (K, n): of the end of an interval, then of its substeps' starts */
   double *adjoints, *through;   /* (s, K, n) */
@@ -34,7 +35,14 @@ typedef struct { /* arrays of a phase; K intervals, S substeps, s stages; size =
   double *q_node;               /* (n + p) */
 } twx_memory;
 
-TWX_INTERNAL size_t twx_lay_out(twx_memory *memory, const twx_phase *phase, double *base);
+typedef struct {
+  size_t work, scratch; /* doubles */
+} twx_phase_sizes;
+TWX_INTERNAL twx_phase_sizes twx_lay_out(twx_memory *memory, const twx_phase *phase, double *work, double *scratch);
+TWX_INTERNAL size_t twx_window_of(const twx_phase *phase); /* intervals that are evaluated together */
+TWX_INTERNAL void twx_open_window(twx_memory *memory, size_t first);
+#define FOR_WINDOWS(t) \
+  for (size_t begin = 0; begin < (size_t)(t).phase->intervals && (twx_open_window(&(t), begin), 1); begin += twx_window_of((t).phase))
 typedef struct { /* what a kernel reads: rows of `width` and `weight_width` numbers; target NULL: the node after base */
   const double *z, *share, *base, *target, *weights;
   size_t width, weight_width;
@@ -42,7 +50,7 @@ typedef struct { /* what a kernel reads: rows of `width` and `weight_width` numb
 } twx_inputs;
 TWX_INTERNAL void twx_call(const twx_kernel *f, const twx_memory *t, twx_inputs in, size_t rows, double *result, size_t size);
 /* out (rows, columns) = A (rows, n) B (n, columns) */
-TWX_INTERNAL void twx_multiply(size_t rows, size_t n, size_t columns, const double *A, const double *B, double *out);
+TWX_INTERNAL void twx_multiply(size_t rows, size_t n, size_t columns, const double *restrict A, const double *restrict B, double *restrict out);
 /* Blocks and rows of stages. */
 TWX_INTERNAL double *twx_at_stage(double *array, const int64_t *offsets, size_t k);
 TWX_INTERNAL double *twx_row_at(const twx_phase *f, size_t k, int32_t place, double *h, double *e);
@@ -51,10 +59,10 @@ TWX_INTERNAL void twx_add_row(const twx_phase *f, size_t k, int32_t place, const
                               size_t skipped, double *Jh, double *Je);
 /* lanes.c */
 TWX_INTERNAL size_t twx_lanes_of(const twx_memory *t, size_t block); /* intervals of a block */
-TWX_INTERNAL void twx_pack(const twx_memory *t, size_t block, size_t width, const double *rows, double *lanes);
+TWX_INTERNAL void twx_pack(const twx_memory *t, size_t block, size_t stride, size_t width, const double *rows, double *lanes);
 TWX_INTERNAL double *twx_maps_at(const twx_memory *t, size_t place, size_t block);
 TWX_INTERNAL void twx_lanes_along(const twx_memory *t, size_t rows, const double *M, size_t width, const double *maps, double *out);
-TWX_INTERNAL void twx_lanes_bends(const twx_memory *t, const double *M, const double *maps, double *H);
+TWX_INTERNAL void twx_lanes_bends(const twx_memory *t, const double *M, size_t width, const double *maps, double *H);
 TWX_INTERNAL int32_t twx_is_start(const twx_memory *t, size_t place); /* sensitivities there are one */
 TWX_INTERNAL void twx_map_of(const twx_memory *t, size_t place, size_t k, double *map);
 /* nodes.c */

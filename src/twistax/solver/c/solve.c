@@ -63,7 +63,7 @@ static twx_status take_step(twx_work *w, twx_search *search, const twx_measures 
   if (outcome == TWX_BACK) return go_back(w);
   if (outcome == TWX_NO_STEP) return restore(w);
   twx_accept(w, search->length, search->length_multipliers, w->barrier);
-  return twx_differentiate(w) ? TWX_NON_FINITE : TWX_SOLVED;
+  return twx_differentiate_both(w) ? TWX_NON_FINITE : TWX_SOLVED;
 }
 
 static void report(twx_work *w, const twx_measures *m) {
@@ -187,6 +187,10 @@ static void load(twx_work *w, const double *z, const twx_solution *solution) {
   memcpy(q->zl, solution->zl, sizeof(double) * w->variables), memcpy(q->zu, solution->zu, sizeof(double) * w->variables);
 }
 
+static int32_t is_lost(twx_status status) {
+  return status == TWX_NON_FINITE || status == TWX_UNBOUNDED_CURVATURE || status == TWX_UNBOUNDED;
+}
+
 int32_t twx_solve(const twx_problem *problem, const twx_options *options, double *z, twx_solution *solution,
                   double *workspace, twx_statistics *statistics) {
   twx_work work, *const w = &work;
@@ -205,6 +209,6 @@ int32_t twx_solve(const twx_problem *problem, const twx_options *options, double
     if (status != TWX_SOLVED && status != TWX_INFEASIBLE && status != TWX_UNBOUNDED) end_at_best(w);
     if (status != TWX_SOLVED) measure_rest(w, status);
   }
-  unscale(w, z, solution);
+  if (!problem->discards || !is_lost(status)) unscale(w, z, solution);
   return statistics->status = status;
 }

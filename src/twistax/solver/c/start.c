@@ -5,7 +5,7 @@
 static int32_t read_bounds(twx_work *w) {
   const twx_problem *p = w->problem;
   for (size_t i = 0; i < w->variables; i++) {
-    w->size[i] = p->size ? p->size[i] : 1;
+    if (w->ones) w->ones[i] = 1;
     if (!(w->size[i] > 0) || !isfinite(w->size[i]) || !(p->lower[i] <= p->upper[i])) return 0;
     w->free[i] = p->lower[i] < p->upper[i];
     w->lower[i] = p->lower[i] / w->size[i], w->upper[i] = p->upper[i] / w->size[i];
@@ -53,7 +53,7 @@ static int32_t push_inside(twx_work *w) {
   memcpy(w->trial.z, w->here.z, sizeof(double) * w->points); /* what is reported where the move fails */
   const int32_t bad = twx_move(w, &w->step, 1);
   memcpy(v, w->trial.v, sizeof(double) * w->variables);
-  if (!bad) memcpy(w->here.z, w->trial.z, sizeof(double) * w->points);
+  if (!bad) twx_take_values(w);
   return bad;
 }
 
@@ -73,29 +73,38 @@ static int32_t read_units(twx_work *w) {
   return good;
 }
 
-/* Rows with large derivatives are divided further, as in [WB] 3.8. */
-static void scale_rows(const twx_work *w, const twx_stage *s, int32_t rows, const double *J, double *scale) {
+/* Rows with large derivatives are divided further, as in [WB] 3.8, with their slacks and multipliers unless these are NULL. */
+static int32_t scale_rows(const twx_work *w, const twx_stage *s, int32_t rows, const double *J, double *scale, double *y, double *slack) {
+  int32_t scaled = 0;
   for (int32_t i = 0; i < rows; i++) {
     double most = 0;
     for (int32_t j = 0; j < s->n; j++) {
       const size_t variable = j < s->nv ? s->v + (size_t)j : w->variables - (size_t)(s->n - j);
       if (w->free[variable] != 0) most = twx_max(most, fabs(J[i + (size_t)j * (size_t)rows]));
     }
-    if (most > w->options->row_gradient) scale[i] *= twx_max(w->options->row_gradient / most, 1e-8);
+    if (!(most > w->options->row_gradient)) continue;
+    const double factor = twx_max(w->options->row_gradient / most, 1e-8);
+    scale[i] *= factor, scaled = 1;
+    if (y) y[i] /= factor;
+    if (y && slack) slack[i] *= factor;
   }
+  return scaled;
 }
 
-static int32_t scale_functions(twx_work *w) {
+/* The functions and their derivatives at the start, scaled; `early`: with multipliers, which are in the core's units. */
+static int32_t scale_functions(twx_work *w, int32_t early) {
+  twx_iterate *q = &w->iterate;
   const double limit = w->options->objective_gradient;
   double most = 0;
-  if (twx_differentiate(w)) return 1;
+  if (early ? twx_differentiate_both(w) : twx_differentiate(w)) return 1;
   FOR_FREE(w, i) most = twx_max(most, fabs(w->gradient[i]));
-  if (limit > 0 && most > limit) w->cost_scale *= twx_max(limit / most, 1e-8);
+  int32_t scaled = limit > 0 && most > limit;
+  if (scaled) w->cost_scale *= twx_max(limit / most, 1e-8);
   FOR_STAGES(w, k, s) {
-    scale_rows(w, s, s->nh, w->Jh + s->Jh, w->row_scale + s->h);
-    scale_rows(w, s, s->ne, w->Je + s->Je, w->equality_scale + s->e);
+    scaled |= scale_rows(w, s, s->nh, w->Jh + s->Jh, w->row_scale + s->h, early ? q->y + s->h : NULL, q->s + s->h);
+    scaled |= scale_rows(w, s, s->ne, w->Je + s->Je, w->equality_scale + s->e, early ? q->ye + s->e : NULL, NULL);
   }
-  return 0;
+  return scaled && (twx_evaluate(w, &w->here) || twx_differentiate(w));
 }
 
 static double within(double a, double low, double high) { return twx_max(twx_min(a, high), low); }
@@ -138,6 +147,7 @@ void twx_least_squares_multipliers(twx_work *w) {
   for (size_t i = 0; i < w->defects; i++) q->lambda[i] = good ? d->lambda[i] : 0;
   for (size_t i = 0; i < w->rows; i++) q->y[i] = good ? d->y[i] : 0;
   for (size_t i = 0; i < (size_t)w->ne; i++) q->ye[i] = good ? d->ye[i] : 0;
+  w->has_hessian = 0;
 }
 
 static void set_barrier(twx_work *w) {
@@ -171,12 +181,15 @@ twx_status twx_start(twx_work *w) {
   if (!read_bounds(w) || !read_units(w)) return TWX_BAD_PROBLEM;
   for (size_t i = 0; i < w->variables; i++) q->v[i] /= w->size[i];
   set_barrier(w);
-  if (push_inside(w) || scale_functions(w) || twx_evaluate(w, &w->here) || twx_differentiate(w)) return TWX_NON_FINITE;
+  const int32_t warm = o->warm_start > 0, early = warm && !(o->objective_gradient > 0);
+  if (push_inside(w)) return TWX_NON_FINITE;
+  if (early) scale_multipliers(w);
+  if (scale_functions(w, early)) return TWX_NON_FINITE;
   w->statistics->cost_scale = w->cost_scale;
   twx_place_equalities(w);
-  if (o->warm_start > 0) scale_multipliers(w);
+  if (warm && !early) scale_multipliers(w);
   start_bounds(w);
-  if (!(o->warm_start > 0)) {
+  if (!warm) {
     memset(q->lambda, 0, sizeof(double) * w->defects), memset(q->y, 0, sizeof(double) * w->rows);
     memset(q->ye, 0, sizeof(double) * (size_t)w->ne);
     if (o->least_squares_limit > 0) twx_least_squares_multipliers(w);

@@ -11,19 +11,21 @@ static int32_t is_zero(const double *a, size_t count) {
 
 static const int32_t *places_at(const twx_memory *t, size_t point, size_t k) {
   const twx_phase *f = t->phase;
-  return f->place + (k * ((size_t)f->substeps + 1) + point) * (size_t)f->path_rows;
+  return f->place + ((t->first + k) * ((size_t)f->substeps + 1) + point) * (size_t)f->path_rows;
 }
 
-/* Whether any row or cost of a point counts; rows stand at ends of substeps alone. */
-static int32_t is_asked(const twx_memory *t, size_t point) {
+/* Whether any row of a point counts; rows stand at ends of substeps alone. */
+static int32_t has_rows(const twx_memory *t, size_t point) {
   const twx_phase *f = t->phase;
-  if (f->weights[point] != 0) return 1;
   if (point > (size_t)f->substeps) return 0;
   for (size_t k = 0; k < t->K; k++)
     for (int32_t r = 0; r < f->path_rows; r++)
       if (places_at(t, point, k)[r] != -1) return 1;
   return 0;
 }
+
+/* Whether any row or the cost does. */
+static int32_t is_asked(const twx_memory *t, size_t point) { return t->phase->weights[point] != 0 || has_rows(t, point); }
 
 static double rows_values(twx_memory *t, const double *z, double *h, double *e) {
   const twx_phase *f = t->phase;
@@ -34,9 +36,9 @@ static double rows_values(twx_memory *t, const double *z, double *h, double *e) 
     twx_call(&f->rows.value, t, twx_inputs_at(t, z, point), t->K, t->rows, R + 1);
     for (size_t k = 0; k < t->K; k++) {
       const double *row = t->rows + k * (R + 1);
-      cost += f->widths[k] * f->weights[point] * row[R];
+      cost += t->widths[k] * f->weights[point] * row[R];
       for (size_t r = 0; point <= (size_t)f->substeps && r < R; r++) {
-        double *to = twx_row_at(f, k, places_at(t, point, k)[r], h, e);
+        double *to = twx_row_at(f, t->first + k, places_at(t, point, k)[r], h, e);
         if (to) *to = row[r] + f->margins[places_at(t, point, k) + r - f->place];
       }
     }
@@ -44,11 +46,12 @@ static double rows_values(twx_memory *t, const double *z, double *h, double *e) 
   return cost;
 }
 
-/* The slopes of the rows of a block by the unknowns, in `lane_moved`. */
-static void move_rows(const twx_memory *t, size_t point, size_t block, size_t rows) {
-  const size_t entries = rows * t->size;
-  twx_pack(t, block, entries, t->row_slopes, twx_is_start(t, point) ? t->lane_moved : t->lane_rows);
-  if (!twx_is_start(t, point)) twx_lanes_along(t, rows, t->lane_rows, t->size, twx_maps_at(t, point, block), t->lane_moved);
+/* The slopes of the rows of a block by the unknowns, in `lane_moved`, from this row on. */
+static void move_rows(const twx_memory *t, size_t point, size_t block, size_t rows, size_t from) {
+  const size_t before = from * t->size, entries = rows * t->size - before;
+  double *const moved = t->lane_moved + before * TWX_LANES, *const packed = twx_is_start(t, point) ? moved : t->lane_rows;
+  twx_pack(t, block, rows * t->size, entries, t->row_slopes + before, packed);
+  if (!twx_is_start(t, point)) twx_lanes_along(t, rows - from, packed, t->size, twx_maps_at(t, point, block), moved);
 }
 
 static void rows_jacobians(twx_memory *t, const double *z, double *gradient, double *Jh, double *Je) {
@@ -56,17 +59,18 @@ static void rows_jacobians(twx_memory *t, const double *z, double *gradient, dou
   const size_t R = (size_t)f->path_rows, size = t->size, nv = t->n + (size_t)f->m;
   for (size_t point = 0; point < t->points; point++) {
     if (!is_asked(t, point)) continue;
+    const size_t from = has_rows(t, point) ? 0 : R;
     twx_call(&f->rows.slopes, t, twx_inputs_at(t, z, point), t->K, t->row_slopes, (R + 1) * size);
     for (size_t k = 0; k < t->K; k++) {
       const size_t lane = k % TWX_LANES;
-      const double weight = f->widths[k] * f->weights[point], *moved = t->lane_moved + lane;
-      if (lane == 0) move_rows(t, point, k / TWX_LANES, R + 1);
-      for (size_t r = 0; point <= (size_t)f->substeps && r < R; r++)
-        twx_add_row(f, k, places_at(t, point, k)[r], moved + r * size * TWX_LANES, TWX_LANES, size, 0, Jh, Je);
+      const double weight = t->widths[k] * f->weights[point], *moved = t->lane_moved + lane;
+      if (lane == 0) move_rows(t, point, k / TWX_LANES, R + 1, from);
+      for (size_t r = from; point <= (size_t)f->substeps && r < R; r++)
+        twx_add_row(f, t->first + k, places_at(t, point, k)[r], moved + r * size * TWX_LANES, TWX_LANES, size, 0, Jh, Je);
       for (size_t j = 0; j < size; j++) {
         const double slope = moved[(R * size + j) * TWX_LANES];
-        gradient[j < nv ? (size_t)f->at.v[k] + j : (size_t)f->parameters_v + j - nv] += weight * slope;
-        if (j >= nv) f->cost_slopes[k * (size - nv) + j - nv] += weight * slope;
+        gradient[j < nv ? (size_t)f->at.v[t->first + k] + j : (size_t)f->parameters_v + j - nv] += weight * slope;
+        if (j >= nv) f->cost_slopes[(t->first + k) * (size - nv) + j - nv] += weight * slope;
       }
     }
   }
@@ -76,9 +80,9 @@ static void rows_jacobians(twx_memory *t, const double *z, double *gradient, dou
 static void add_bends(const twx_memory *t, size_t place) {
   const size_t size = t->size, entries = size * size;
   for (size_t block = 0; block < t->blocks; block++) {
-    twx_pack(t, block, entries, t->bends, t->lane_rows);
+    twx_pack(t, block, entries, entries, t->bends, t->lane_rows);
     const double *const maps = twx_is_start(t, place) ? NULL : twx_maps_at(t, place, block);
-    twx_lanes_bends(t, t->lane_rows, maps, t->H + block * entries * TWX_LANES);
+    twx_lanes_bends(t, t->lane_rows, size, maps, t->H + block * entries * TWX_LANES);
   }
 }
 
@@ -86,10 +90,10 @@ static void add_bends(const twx_memory *t, size_t place) {
 static void write_hessians(const twx_memory *t, double *H) {
   const size_t size = t->size;
   for (size_t k = 0; k < t->K; k++) {
-    double *const block = twx_at_stage(H, t->phase->at.H, k);
+    double *const block = twx_at_stage(H, t->phase->at.H, t->first + k);
     const double *const lanes = t->H + k / TWX_LANES * size * size * TWX_LANES + k % TWX_LANES;
     for (size_t r = 0; r < size; r++)
-      for (size_t j = r; j < size; j++) block[j * size + r] = block[r * size + j] += lanes[(r * size + j) * TWX_LANES];
+      for (size_t j = r; j < size; j++) block[j * size + r] = block[r * size + j] = lanes[(r * size + j) * TWX_LANES];
   }
 }
 
@@ -104,8 +108,8 @@ static void rows_hessians(twx_memory *t, const double *z, double weight, const d
     for (size_t k = 0; k < t->K; k++) {
       double *w = t->weights + k * (R + 1);
       for (size_t r = 0; r < R; r++)
-        w[r] = point <= (size_t)f->substeps ? twx_weight_of(f, k, places_at(t, point, k)[r], y, ye) : 0;
-      w[R] = weight * f->widths[k] * f->weights[point];
+        w[r] = point <= (size_t)f->substeps ? twx_weight_of(f, t->first + k, places_at(t, point, k)[r], y, ye) : 0;
+      w[R] = weight * t->widths[k] * f->weights[point];
     }
     if (is_zero(t->weights, t->K * (R + 1))) continue; /* the curvature of other rows is asked for */
     twx_inputs in = twx_inputs_at(t, z, point);
@@ -113,7 +117,7 @@ static void rows_hessians(twx_memory *t, const double *z, double weight, const d
     twx_call(&f->rows.slopes, t, in, t->K, t->row_slopes, (R + 1) * size);
     for (size_t k = 0; k < t->K; k++)
       for (size_t r = 0; r <= R; r++)
-        for (size_t i = 0; i < t->n; i++)
+        for (size_t i = 0; i < t->n && t->weights[k * (R + 1) + r] != 0; i++)
           pulls[k * t->n + i] += t->weights[k * (R + 1) + r] * t->row_slopes[(k * (R + 1) + r) * size + i];
     if (!f->rows.bends.run) continue;
     twx_call(&f->rows.bends, t, in, t->K, t->bends, size * size);
@@ -146,47 +150,55 @@ static void gap_slopes(twx_memory *t, const double *z) {
   }
 }
 
-static void gap_jacobians(twx_memory *t, const double *z, double *F) {
+static void gap_jacobians(const twx_memory *t, double *F) {
   const twx_phase *f = t->phase;
   const size_t n = t->n, size = t->size;
-  gap_slopes(t, z);
   for (size_t block = 0; block < t->blocks; block++) {
-    twx_pack(t, block, n * n, t->gap_slopes, t->lane_rows);
+    twx_pack(t, block, n * n, n * n, t->gap_slopes, t->lane_rows);
     twx_lanes_along(t, n, t->lane_rows, n, twx_maps_at(t, (size_t)f->substeps, block), t->lane_moved);
     for (size_t l = 0; l < twx_lanes_of(t, block); l++) {
-      double *const to = twx_at_stage(F, f->at.F, block * TWX_LANES + l);
+      double *const to = twx_at_stage(F, f->at.F, t->first + block * TWX_LANES + l);
       for (size_t j = 0; j < size; j++)
         for (size_t i = 0; i < n; i++) to[j * n + i] = t->lane_moved[(i * size + j) * TWX_LANES + l];
     }
   }
 }
 
-/* Second derivatives of the defects by eta at the ends, and the adjoints there. */
-static void gap_hessians(twx_memory *t, const double *z, const double *lambda, double *adjoint, double *H) {
-  const twx_phase *f = t->phase;
-  const size_t n = t->n, size = t->size;
-  const double *weights = lambda + f->at.c[0];
-  memset(adjoint, 0, sizeof(double) * t->K * n);
-  if (is_zero(weights, t->K * n)) return;
-  gap_slopes(t, z);
+/* out (K, n) += rows of weights times matrices (n, n). */
+static void add_weighted(const twx_memory *t, const double *restrict weights, const double *restrict M, double *restrict out) {
+  const size_t n = t->n;
   for (size_t k = 0; k < t->K; k++)
     for (size_t i = 0; i < n; i++)
-      for (size_t j = 0; j < n; j++) adjoint[k * n + j] += weights[k * n + i] * t->gap_slopes[(k * n + i) * n + j];
-  if (!f->gap.bends.run) return;
-  memset(t->weights, 0, sizeof(double) * t->K * n);
-  if (!is_turned(f)) memcpy(t->weights, weights, sizeof(double) * t->K * n);
-  for (size_t k = 0; is_turned(f) && k < t->K; k++)
-    for (size_t i = 0; i < n; i++)
-      for (size_t j = 0; j < n; j++) t->weights[k * n + j] += weights[k * n + i] * t->turns[(k * n + i) * n + j];
-  gaps(t, z, &f->gap.bends, t->weights, t->bends, n * n);
-  for (size_t k = 0; k < t->K; k++) {
-    double *const maps = t->map, *const block = twx_at_stage(H, f->at.H, k);
-    twx_map_of(t, (size_t)f->substeps, k, maps);
-    twx_multiply(n, n, size, t->bends + k * n * n, maps, t->moved);
-    for (size_t i = 0; i < n; i++)
-      for (size_t r = 0; r < size; r++)
-        for (size_t j = 0; j < size; j++) block[r * size + j] += maps[i * size + r] * t->moved[i * size + j];
+      for (size_t j = 0; j < n; j++) out[k * n + j] += weights[k * n + i] * M[(k * n + i) * n + j];
+}
+
+/* Second derivatives of the defects by eta at the ends. */
+static void gap_bends(twx_memory *t, const double *z) {
+  const size_t n = t->n;
+  gaps(t, z, &t->phase->gap.bends, t->weights, t->bends, n * n);
+  for (size_t block = 0; block < t->blocks; block++) {
+    twx_pack(t, block, n * n, n * n, t->bends, t->lane_rows);
+    twx_lanes_bends(t, t->lane_rows, n, twx_maps_at(t, (size_t)t->phase->substeps, block),
+                    t->H + block * t->size * t->size * TWX_LANES);
   }
+}
+
+/* Derivatives of the defects, and with second ones the adjoints at the ends. */
+static void gap_derivatives(twx_memory *t, const double *z, const twx_multipliers *multipliers, const twx_derivatives *d) {
+  const twx_phase *f = t->phase;
+  const size_t count = t->K * t->n;
+  const double *const weights = d->H ? multipliers->lambda + f->at.c[t->first] : NULL;
+  const int32_t weighted = d->H && !is_zero(weights, count);
+  if (d->H) memset(t->adjoint, 0, sizeof(double) * count);
+  if (d->F || weighted) gap_slopes(t, z);
+  if (weighted) {
+    add_weighted(t, weights, t->gap_slopes, t->adjoint);
+    memset(t->weights, 0, sizeof(double) * count);
+    if (is_turned(f)) add_weighted(t, weights, t->turns, t->weights);
+    else memcpy(t->weights, weights, sizeof(double) * count);
+  }
+  if (d->F) gap_jacobians(t, d->F); /* in memory of the turns */
+  if (weighted && f->gap.bends.run) gap_bends(t, z);
 }
 
 /* Adjoints back through the substeps of all intervals; each stage adds the second derivative of its rate. */
@@ -217,57 +229,72 @@ static void rate_hessians(twx_memory *t, const double *z, double *adjoint) {
 
 static twx_memory memory_of(const twx_phase *f) {
   twx_memory t;
-  twx_lay_out(&t, f, f->work);
+  twx_lay_out(&t, f, f->work, f->scratch);
   return t;
 }
 
 int32_t twx_transcribed_values(void *user, const double *z, double *cost, double *c, double *h, double *e) {
   *cost = 0;
   FOR_PHASES(user, f, t) {
-    if (twx_integrate(&t, z)) return 1;
-    *cost += rows_values(&t, z, h, e) + twx_node_values(&t, z, h, e);
-    gaps(&t, z, &f->gap.value, NULL, c + f->at.c[0], t.n);
-    for (size_t i = 0; f->steps && i < t.K * t.n; i++) c[(size_t)f->at.c[0] + i] -= f->steps[t.n + i];
+    FOR_WINDOWS(t) {
+      if (twx_integrate(&t, z)) return 1;
+      *cost += rows_values(&t, z, h, e);
+      gaps(&t, z, &f->gap.value, NULL, c + f->at.c[t.first], t.n);
+    }
+    *cost += twx_node_values(&t, z, h, e);
+    for (size_t i = 0; f->steps && i < (size_t)f->intervals * t.n; i++) c[(size_t)f->at.c[0] + i] -= f->steps[t.n + i];
     if (f->join) twx_join_values(&t, z, c);
   }
   return 0;
 }
 
-int32_t twx_transcribed_jacobians(void *user, const double *z, double *gradient, double *F, double *Jh, double *Je) {
+/* Derivatives of a window, of the first order where F is no NULL, and of the second where H is none. */
+static int32_t window_derivatives(twx_memory *t, const double *z, const twx_multipliers *weights, const twx_derivatives *d) {
+  if (twx_sensitivities(t, z)) return 1;
+  if (d->F) rows_jacobians(t, z, d->gradient, d->Jh, d->Je);
+  if (d->H) {
+    memset(t->H, 0, sizeof(double) * t->blocks * t->size * t->size * TWX_LANES);
+    rows_hessians(t, z, weights->cost, weights->y, weights->ye);
+  }
+  gap_derivatives(t, z, weights, d);
+  if (!d->H) return 0;
+  rate_hessians(t, z, t->adjoint);
+  write_hessians(t, d->H);
+  return 0;
+}
+
+int32_t twx_transcribed_derivatives(void *user, const double *z, const twx_multipliers *weights, const twx_derivatives *d) {
   FOR_PHASES(user, f, t) {
-    if (twx_sensitivities(&t, z)) return 1;
-    memset(f->cost_slopes, 0, sizeof(double) * (t.K + 1) * (size_t)f->p);
-    rows_jacobians(&t, z, gradient, Jh, Je);
-    twx_node_jacobians(&t, z, gradient, Jh, Je);
-    gap_jacobians(&t, z, F);
-    if (f->join) twx_join_jacobians(&t, z, F);
+    if (d->F) memset(f->cost_slopes, 0, sizeof(double) * (size_t)(f->intervals + 1) * (size_t)f->p);
+    FOR_WINDOWS(t) if (window_derivatives(&t, z, weights, d)) return 1;
+    if (d->F) twx_node_jacobians(&t, z, d->gradient, d->Jh, d->Je);
+    if (d->F && f->join) twx_join_jacobians(&t, z, d->F);
+    if (d->H) twx_node_hessians(&t, z, weights->cost, weights->y, weights->ye, d->H);
+    if (d->H && f->join) twx_join_hessians(&t, z, weights->lambda, d->H);
   }
   return 0;
+}
+
+int32_t twx_transcribed_jacobians(void *user, const double *z, double *gradient, double *F, double *Jh, double *Je) {
+  const twx_derivatives d = {gradient, F, Jh, Je, NULL};
+  return twx_transcribed_derivatives(user, z, NULL, &d);
 }
 
 int32_t twx_transcribed_hessians(void *user, const double *z, double weight, const double *lambda, const double *y,
                                  const double *ye, double *H) {
-  FOR_PHASES(user, f, t) {
-    if (twx_sensitivities(&t, z)) return 1;
-    memset(t.H, 0, sizeof(double) * t.blocks * t.size * t.size * TWX_LANES);
-    rows_hessians(&t, z, weight, y, ye);
-    twx_node_hessians(&t, z, weight, y, ye, H);
-    gap_hessians(&t, z, lambda, t.adjoint, H);
-    rate_hessians(&t, z, t.adjoint);
-    write_hessians(&t, H);
-    if (f->join) twx_join_hessians(&t, z, lambda, H);
-  }
-  return 0;
+  const twx_multipliers weights = {weight, lambda, y, ye};
+  const twx_derivatives d = {NULL, NULL, NULL, NULL, H};
+  return twx_transcribed_derivatives(user, z, &weights, &d);
 }
 
 int32_t twx_transcribed_retract(void *user, const double *z, const double *d, double *moved) {
   FOR_PHASES(user, f, t) {
-    const size_t nodes = t.K + 1, stride = (size_t)(f->point + f->m), m = (size_t)f->m;
+    const size_t nodes = (size_t)f->intervals + 1, stride = (size_t)(f->point + f->m), m = (size_t)f->m;
     for (size_t k = 0; k < nodes; k++) {
       const double *step = d + f->at.v[k], *from = z + f->at.z[k];
       double *to = moved + f->at.z[k];
       for (size_t i = 0; !f->retract.run && i < t.n; i++) to[i] = from[i] + step[i];
-      for (size_t i = 0; k < t.K && i < m; i++) to[(size_t)f->point + i] = from[(size_t)f->point + i] + step[t.n + i];
+      for (size_t i = 0; k + 1 < nodes && i < m; i++) to[(size_t)f->point + i] = from[(size_t)f->point + i] + step[t.n + i];
     }
     if (f->retract.run) {
       const twx_inputs in = {.z = d + f->at.v[0], .width = t.n + m, .base = z + f->at.z[0]};
@@ -275,7 +302,7 @@ int32_t twx_transcribed_retract(void *user, const double *z, const double *d, do
     }
     /* What a join leaves free is where the next node is: the step to it from there is taken. */
     for (int32_t i = 0; f->join && i < f->join->free_count; i++) {
-      const size_t at = (size_t)f->at.z[t.K] + (size_t)f->point + (size_t)i, v = (size_t)f->at.v[t.K] + t.n;
+      const size_t at = (size_t)f->at.z[f->intervals] + (size_t)f->point + (size_t)i, v = (size_t)f->at.v[f->intervals] + t.n;
       moved[at] = z[at] + d[v + (size_t)i] - d[v + (size_t)f->join->free_count + (size_t)f->join->free[i]];
     }
     for (int64_t i = 0; i < f->p; i++)

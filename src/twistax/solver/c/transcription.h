@@ -71,8 +71,9 @@ typedef struct {
   twx_kernel retract, turn;     /* turn: the left Jacobian of a defect, where the manifold is not flat */
   const twx_node *node;         /* the last one is the end, with the final cost as its last row */
   const twx_join *join;         /* to the next phase, or NULL */
+  int32_t window;               /* intervals that are evaluated together, or 0: all, and what is integrated is kept */
   double *cost_slopes;          /* (intervals + 1, p): what each stage adds to the gradient of the cost by p, of the last jacobians */
-  double *work;
+  double *work, *scratch;       /* scratch: of derivatives; where not all intervals are evaluated together nothing in it is kept */
 } twx_phase;
 
 typedef struct {
@@ -81,6 +82,7 @@ typedef struct {
 } twx_transcription;
 
 size_t twx_phase_work(const twx_phase *f); /* doubles */
+size_t twx_phase_scratch(const twx_phase *f);
 /* Functions for `twx_problem`; user is a twx_transcription. */
 int32_t twx_transcribed_values(void *user, const double *z, double *cost, double *c, double *h, double *e);
 int32_t twx_transcribed_jacobians(void *user, const double *z, double *gradient, double *F, double *Jh, double *Je);

@@ -5,7 +5,7 @@
 #include "dense.h"
 
 #define TWX_EPSILON 2.220446049250313e-16
-#define TWX_FILTER_ROWS 400
+#define TWX_FILTER_ROWS 400 /* unless the problem says it */
 #define TWX_LEAST_SLACK 1e-20 /* slacks are never smaller: their reciprocals stay finite */
 
 typedef struct { /* where a stage lies in the arrays */
@@ -43,20 +43,23 @@ typedef struct {
   double *watchdog_z, *best_z, *moved; /* moved: a step in the problem's units */
   double best_error, best_excess;
   twx_residual right, correction, residual;
-  double *lower, *upper, *size, *free; /* of v; free: 1 or 0 */
+  double *lower, *upper, *ones, *free; /* of v; free: 1 or 0 */
+  const double *size;                  /* the problem's, or the ones */
   double *row_scale, *equality_scale, cost_scale;
   double *gradient, *F, *Jh, *Je, *H;
   double *Sv, *Ss;                    /* barrier's second derivatives of v and s */
   double *P, *W, *L, *K, *L0, *K0, *S, *Lp, *Z, *C; /* factors, see riccati.c */
   double *p, *k, *border, *t0, *t1, *t2, *t3;      /* of a sweep; scratch */
   double *filter;
-  int32_t filter_rows;
+  int32_t filter_rows, filter_size;
+  int32_t has_hessian; /* H is that of the iterate with its multipliers */
   double exactness;  /* factor of the tolerance and of the least barrier, 1 until the excess asks for less */
   int32_t acceptable_age; /* iterations since the first iterate with an acceptable excess; 0: there is none */
   double barrier, fraction, identity, last_identity, violation_small, violation_large, softness, weight;
   double softening, border_softness, local_softness; /* of equalities that depend on each other */
 } twx_work;
 
+static inline size_t twx_most(size_t a, size_t b) { return a > b ? a : b; }
 static inline int twx_has(double bound) { return isfinite(bound); }
 /* Distances from bounds. */
 static inline double twx_below(const twx_work *w, const double *v, size_t i) {
@@ -87,10 +90,13 @@ TWX_INTERNAL void twx_solve_symmetric(const twx_factor *factor, int32_t columns,
 /* workspace.c */
 TWX_INTERNAL size_t twx_carve(twx_work *w, const twx_problem *problem, double *base);
 TWX_INTERNAL void twx_copy_iterate(const twx_work *w, twx_iterate *to, const twx_iterate *from);
+TWX_INTERNAL void twx_copy_step(const twx_work *w, twx_iterate *to, const twx_iterate *from);
 
 /* evaluate.c: functions of the problem in the core's units. */
 TWX_INTERNAL int32_t twx_evaluate(twx_work *w, twx_values *at);
+TWX_INTERNAL void twx_take_values(twx_work *w);
 TWX_INTERNAL int32_t twx_differentiate(twx_work *w);
+TWX_INTERNAL int32_t twx_differentiate_both(twx_work *w);
 TWX_INTERNAL int32_t twx_differentiate_twice(twx_work *w);
 TWX_INTERNAL int32_t twx_move(twx_work *w, const twx_iterate *step, double length);
 

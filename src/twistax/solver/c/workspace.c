@@ -12,9 +12,15 @@ static double *take(arena *a, size_t count) {
   return start;
 }
 
-static void take_iterate(arena *a, const twx_work *w, twx_iterate *q) {
+/* What the linear system has of a step: steps of the multipliers of bounds follow from it. */
+static void take_move(arena *a, const twx_work *w, twx_iterate *q) {
   q->v = take(a, w->variables), q->s = take(a, w->rows), q->lambda = take(a, w->defects), q->y = take(a, w->rows);
-  q->ye = take(a, (size_t)w->ne), q->zl = take(a, w->variables), q->zu = take(a, w->variables), q->zs = take(a, w->rows);
+  q->ye = take(a, (size_t)w->ne), q->zl = q->zu = q->zs = NULL;
+}
+
+static void take_iterate(arena *a, const twx_work *w, twx_iterate *q) {
+  take_move(a, w, q);
+  q->zl = take(a, w->variables), q->zu = take(a, w->variables), q->zs = take(a, w->rows);
 }
 
 static void take_residual(arena *a, const twx_work *w, twx_residual *r) {
@@ -29,6 +35,10 @@ static void take_values(arena *a, const twx_work *w, twx_values *q) {
 /* Copies of iterates are one block: v is the first of its arrays. */
 void twx_copy_iterate(const twx_work *w, twx_iterate *to, const twx_iterate *from) {
   memcpy(to->v, from->v, sizeof(double) * w->point_size);
+}
+
+void twx_copy_step(const twx_work *w, twx_iterate *to, const twx_iterate *from) {
+  memcpy(to->v, from->v, sizeof(double) * (w->variables + 2 * w->rows + w->defects + (size_t)w->ne));
 }
 
 static int32_t sizes_are_possible(const twx_problem *p) {
@@ -75,31 +85,45 @@ static void place_stages(twx_work *w, const twx_problem *p, twx_stage *stages, t
   w->point_size = 3 * (w->variables + w->rows) + w->defects + (size_t)w->ne;
 }
 
+/* Factors and steps: nothing that a point needs, so that functions may use the memory while they differentiate there. */
+static void take_system(arena *a, twx_work *w, const totals *t) {
+  const size_t V = w->variables, E = (size_t)w->ne, B = (size_t)w->nb, X = (size_t)t->nx, n = (size_t)t->n, np = (size_t)w->np;
+  const size_t m = 2 * (size_t)t->nu;
+  take_iterate(a, w, &w->step), take_move(a, w, &w->corrected), take_move(a, w, &w->refinement);
+  take_residual(a, w, &w->right), take_residual(a, w, &w->correction), take_residual(a, w, &w->residual);
+  take_values(a, w, &w->trial), w->trial.v = take(a, V), w->trial.s = take(a, w->rows), w->moved = take(a, V);
+  w->P = take(a, t->P), w->W = take(a, t->W), w->L = take(a, t->L), w->K = take(a, t->K);
+  w->L0 = take(a, twx_factor_size(t->nx)), w->K0 = take(a, X * B), w->S = take(a, B * B);
+  w->Lp = take(a, twx_factor_size(w->np)), w->Z = take(a, np * E), w->C = take(a, twx_factor_size(w->ne));
+  w->p = take(a, V), w->k = take(a, t->k), w->border = take(a, B);
+  w->t1 = take(a, twx_most(2 * X * n + (X + n) * E, twx_most(2 * twx_most(m, X) * (X + B), twx_most(np * E, m * m))));
+  w->t2 = take(a, n * (B + 1));
+}
+
 size_t twx_carve(twx_work *w, const twx_problem *p, double *base) {
   arena a = {base, 0};
   totals t;
   const size_t doubles = (sizeof(twx_stage) + sizeof(double) - 1) / sizeof(double);
+  place_stages(w, p, NULL, &t);
+  take_system(&a, w, &t);
+  a.used = twx_most(a.used, p->scratch);
   w->stages = (twx_stage *)(void *)take(&a, doubles * ((size_t)p->intervals + 1));
   place_stages(w, p, w->stages, &t);
-  const size_t V = w->variables, R = w->rows, E = (size_t)w->ne, B = (size_t)w->nb, X = (size_t)t.nx, n = (size_t)t.n;
-  twx_iterate *const iterates[] = {&w->iterate, &w->step, &w->corrected, &w->refinement, &w->watchdog, &w->best};
-  for (size_t i = 0; i < sizeof iterates / sizeof *iterates; i++) take_iterate(&a, w, iterates[i]);
-  take_values(&a, w, &w->here), take_values(&a, w, &w->trial);
-  w->here.v = w->iterate.v, w->here.s = w->iterate.s;
-  w->trial.v = take(&a, V), w->trial.s = take(&a, R);
-  w->watchdog_z = take(&a, w->points), w->best_z = take(&a, w->points), w->moved = take(&a, V);
-  take_residual(&a, w, &w->right), take_residual(&a, w, &w->correction), take_residual(&a, w, &w->residual);
-  w->lower = take(&a, V), w->upper = take(&a, V), w->size = take(&a, V), w->free = take(&a, V);
+  const size_t V = w->variables, R = w->rows, E = (size_t)w->ne, n = (size_t)t.n;
+  const size_t columns = twx_most(twx_most((size_t)t.nx, 2 * (size_t)t.nu), twx_most((size_t)w->np, E));
+  take_iterate(&a, w, &w->iterate), take_iterate(&a, w, &w->best);
+  take_values(&a, w, &w->here), w->here.v = w->iterate.v, w->here.s = w->iterate.s;
+  w->best_z = take(&a, w->points), w->watchdog = (twx_iterate){0}, w->watchdog_z = NULL;
+  if (!p->without_watchdog) take_iterate(&a, w, &w->watchdog), w->watchdog_z = take(&a, w->points);
+  w->lower = take(&a, V), w->upper = take(&a, V), w->free = take(&a, V);
+  w->ones = p->size ? NULL : take(&a, V), w->size = p->size ? p->size : w->ones;
   w->row_scale = take(&a, R), w->equality_scale = take(&a, E), w->gradient = take(&a, V);
   w->F = take(&a, t.F), w->Jh = take(&a, t.Jh), w->Je = take(&a, t.Je), w->H = take(&a, t.H);
-  w->Sv = take(&a, V), w->Ss = take(&a, R);
-  w->P = take(&a, t.P), w->W = take(&a, t.W), w->L = take(&a, t.L), w->K = take(&a, t.K);
-  w->L0 = take(&a, twx_factor_size(t.nx)), w->K0 = take(&a, X * B), w->S = take(&a, B * B);
-  w->Lp = take(&a, twx_factor_size(w->np)), w->Z = take(&a, (size_t)w->np * E), w->C = take(&a, twx_factor_size(w->ne));
-  w->p = take(&a, V), w->k = take(&a, t.k), w->border = take(&a, B);
-  w->place = (int32_t *)(void *)take(&a, (E + 1) / 2 + 1);
-  w->t0 = take(&a, n * n), w->t1 = take(&a, 2 * (n + 2 * (size_t)t.nu) * (X + n + B) + (size_t)w->np * E), w->t2 = take(&a, n * (B + 1)), w->t3 = take(&a, 4 * (V + R + w->defects + E));
-  w->filter = take(&a, 2 * TWX_FILTER_ROWS);
+  w->Sv = take(&a, V), w->Ss = take(&a, R), w->place = (int32_t *)(void *)take(&a, (E + 1) / 2 + 1);
+  w->t0 = take(&a, n * n);
+  w->t3 = take(&a, twx_most(twx_most(V + (size_t)w->np, w->defects + R + E), twx_most(twx_most(4 * columns, n), 2 * ((size_t)t.nh + (size_t)t.ne))));
+  w->filter_size = p->filter_rows > 0 ? p->filter_rows : TWX_FILTER_ROWS;
+  w->filter = take(&a, 2 * (size_t)w->filter_size);
   return a.used;
 }
 

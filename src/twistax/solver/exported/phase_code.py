@@ -9,24 +9,32 @@ import numpy as np
 
 from ...scalar.targets.c import c_type
 from ..kernels import BatchKernel, SmoothKernels
+from ..sources import constant
 from ..structures import NodeStructure
 from ..transcription import Transcription
 from .kernel_code import KernelCode, array
 
 #: Arrays that a controller has in its own memory.
-_OWN_MEMORY = ("data", "node_rows", "work", "cost_slopes", "steps", "join")
+_OWN_MEMORY = ("data", "node_rows", "work", "scratch", "cost_slopes", "steps", "join", "window")
+
+#: Intervals that the core has side by side.
+LANES = constant("phase.h", "TWX_LANES")
+
 _NO_KERNEL = "{NULL, 0, {0}, NULL}"
 
 
 class PhaseCode:
     """The constants of a problem of one phase.
 
+    Args:
+        window: intervals that are evaluated together.
+
     Attributes:
         kernels: the functions.
         text: of the constants; the phase is called `phase_0`.
     """
 
-    def __init__(self, transcription: Transcription) -> None:
+    def __init__(self, transcription: Transcription, window: int) -> None:
         self.kernels = KernelCode()
         self._arrays, self._texts = transcription.arrays, list[str]()
         self._names = dict[int, str]()
@@ -40,6 +48,7 @@ class PhaseCode:
         places = {name: self._pointer(getattr(structure.at, name)) for name, _ in structure.at._fields_}
         offsets = ", ".join(f".{name} = {place}" for name, place in places.items())
         fields += [f".at = {{{offsets}}}", ".node = nodes_0", f".node_width = {structure.node_width}"]
+        fields.append(f".window = {window}")
         nodes = self._nodes(structure, [function for _, function in kernels.nodes])
         body = ",\n    ".join(field for field in fields if field)
         self._texts += [nodes, f"static const twx_phase phase_0 = {{\n    {body}\n}};\n"]

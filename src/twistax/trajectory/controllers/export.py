@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,8 +16,8 @@ from ...checks import number, path_of
 from ...progress import watching
 from ...scalar.targets.c import c_type
 from ...solver.exported.kernel_code import array
-from ...solver.exported.phase_code import PhaseCode
-from ...solver.sources import controller_core
+from ...solver.exported.phase_code import LANES, PhaseCode
+from ...solver.sources import constant, controller_core
 from ...system.export import CFiles
 from ...system.export.c99 import check_name, write_files
 from ...system.export.c_code import mark
@@ -35,7 +36,7 @@ class ControllerCode:
         self._controller, self._name = controller, name
         self._solve, self._staged = controller.prepared, controller.staged
         self._stages = self._staged.transcription.stages
-        self._phase = PhaseCode(self._staged.transcription)
+        self._phase = PhaseCode(self._staged.transcription, self._window)
         part = self._staged.parts[0]
         self._states = [(state.name, part.point.places(state.name)) for state in controller.part.dynamics.states]
         self._controls = controller.controls
@@ -67,14 +68,37 @@ class ControllerCode:
 
     def _counts(self) -> dict[str, int]:
         sizes, transcription = self._sizes, self._staged.transcription
-        iterate = sizes["points"] + 3 * sizes["variables"] + 2 * sizes["rows"] + sizes["defects"] + sizes["equalities"]
+        work, scratch = transcription.phase_doubles(self._window)
         of_step = sizes["points"] + sizes["variables"] + sizes["rows"] + sizes["defects"] + sizes["equalities"]
         return {
-            "iterate": iterate,
             "data": max(1, len(self._controller.numbers)),
             "slopes": max(1, transcription.cost_slopes[0].size),
-            "phase_work": transcription.phase_doubles,
-            "workspace": max(self._solve.workspace_doubles, of_step),
+            "phase_work": work,
+            "workspace": max(self._workspace(scratch), of_step),
+        }
+
+    @functools.cached_property
+    def _window(self) -> int:
+        """How many intervals are evaluated together: as many as the memory of the linear system has room for."""
+        window, phase = LANES, self._staged.transcription
+        while window < phase.phases[0].intervals:
+            scratch = phase.phase_doubles(window + LANES)[1]
+            if self._workspace(scratch) > self._workspace(0):
+                break
+            window += LANES
+        return window
+
+    def _workspace(self, scratch: int) -> int:
+        return self._solve.workspace_doubles(**self._layout, scratch=scratch)
+
+    @property
+    def _layout(self) -> dict[str, int]:
+        """What the memory of the core depends on beside sizes: few iterations fill no filter and need no watchdog."""
+        options = self._solve.options
+        rows, trigger = int(options.iterations) + 1, options.watchdog_trigger
+        return {
+            "filter_rows": min(rows, constant("work.h", "TWX_FILTER_ROWS")),
+            "without_watchdog": int(not 0 < trigger < options.iterations),
         }
 
     def _header(self) -> dict[str, Any]:
@@ -178,6 +202,8 @@ class ControllerCode:
             "prepare": self._prepare(),
             "prepare_arguments": "".join(f", const double *{_c(f'p_{name}')}" for name in self._params),
             **self._arguments,
+            **self._layout,
+            "scratch": self._staged.transcription.phase_doubles(self._window)[1],
             "curvature": _REAL.literal(GAINS_CURVATURE),
             "least_distance": _REAL.literal(GAINS_LEAST),
             "write_gains": "\n".join(

@@ -85,7 +85,9 @@ class CoreCall:
         """
         staged, phase = self._staged, self._problem.shooting
         data, z, v, lower, upper = map(jnp.asarray, self._base)
-        z = z if start is None else jnp.asarray(start)
+        if start is not None:  # bounds count in coordinates, which are those of this start
+            z, (of_points, of_variables) = jnp.asarray(start), staged.plain
+            v = v.at[of_variables].set(z[of_points])
         for values, places in ((params, lambda n: ([n], [])), (final, lambda n: ([], [n]))):
             for name, value in values.items():
                 is_fixed = values is params or self._problem.ends.final_fixed[name].all()
