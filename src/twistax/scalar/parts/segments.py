@@ -150,6 +150,9 @@ def _batch(program: ClosedJaxpr, backend: Backend) -> BatchEquations | None:
     """The equations of the batch on which a function computes most; None where scalars or arrays suit it better."""
     if backend.widest is None:
         return None
+    wide = any(v.aval.size > backend.widest for v in variables(program.jaxpr))
+    if wide and not any(map(is_loop, program.jaxpr.eqns)) and backend.whole(program) is not None:
+        return None
     sizes, total, shortest = Counter[int](), operations_of(program.jaxpr.eqns).total(), _FEWEST
     arrays = [v.aval for v in variables(program.jaxpr) if v.aval.size > backend.widest]
     if not arrays and total > _LONG:
@@ -283,6 +286,9 @@ def _loop(constants: Constants, eqn: Any, backend: Backend) -> Part:
         looped = Looped(by_jax, results, kernel)
         reason = Reason(f"{name}: all iterations in one kernel", True)
         return Part(inputs, eqn.outvars, lambda *values: loop(looped, ring.length or -1, arguments(values)), [reason])
+    program = constants.close([eqn], eqn.outvars)
+    if ring.length is not None and (emission := backend.whole(program)) is not None:
+        return Part(program.jaxpr.invars, eqn.outvars, emission.function, [reason_of(emission).within(name)])
     small = known_inside(inside.jaxpr)  # as one small function a loop gains in any case
     if ring.length is None:
         ends_together = closed(eqn.params["cond_jaxpr"]).jaxpr.outvars[0].aval.size == 1

@@ -20,8 +20,21 @@ from ....checks import instance, whole
 from ....errors import ModelError
 from ....jax_inside import ClosedJaxpr, backends
 from ....progress import say_once
-from ...array_primitive import BatchedByKernel
-from ...backends import ANY_SIZE, XLA, Backend, Emission, Shapes, Step, StepCompiler, is_pure, outweighs_memory, pure
+from ...array_primitive import KernelOfArrays, Kernels
+from ...backends import (
+    ANY_SIZE,
+    XLA,
+    Backend,
+    Emission,
+    Shapes,
+    Step,
+    StepCompiler,
+    array_operations,
+    is_pure,
+    outweighs_memory,
+    pure,
+    variables,
+)
 from ...graph import TooLarge
 from ...jax_primitive import Derived, call_program
 from ...loops import MakeKernel, Repeated, Ring
@@ -31,6 +44,7 @@ from ...walk import uncollected
 from ..cuda.driver import driver
 from ..cuda.kernel import CudaKernel
 from ..cuda.ptx import libdevice
+from .arrays.body import ArrayBody, array_form
 from .code import NotNative
 from .iterations import Iterations
 from .kernel import HostKernel, Kernel
@@ -66,7 +80,7 @@ class Target(ABC):
 
     @abstractmethod
     def kernel(
-        self, kind: type[KernelBody], form: ScalarProgram, more: tuple[Any, ...], single: bool, threads: int | None
+        self, kind: type[KernelBody], form: Any, more: tuple[Any, ...], single: bool, threads: int | None
     ) -> Kernel:
         """The kernel of a kernel body.
 
@@ -86,10 +100,10 @@ class Host(Target):
     present, note = True, ""
 
     def kernel(
-        self, kind: type[KernelBody], form: ScalarProgram, more: tuple[Any, ...], single: bool, threads: int | None
+        self, kind: type[KernelBody], form: Any, more: tuple[Any, ...], single: bool, threads: int | None
     ) -> Kernel:
         processor = Processor.host()
-        return HostKernel(kind(form, 1 if single else processor.lanes(form.graph.dtype), *more), processor, threads)
+        return HostKernel(kind(form, 1 if single else processor.lanes(form.dtype), *more), processor, threads)
 
 
 class Cuda(Target):
@@ -109,7 +123,7 @@ class Cuda(Target):
         return f"in threads on CUDA devices of capability {major}.{minor}{rest}"
 
     def kernel(
-        self, kind: type[KernelBody], form: ScalarProgram, more: tuple[Any, ...], single: bool, threads: int | None
+        self, kind: type[KernelBody], form: Any, more: tuple[Any, ...], single: bool, threads: int | None
     ) -> Kernel:
         return CudaKernel(kind(form, 1, *more))
 
@@ -171,8 +185,24 @@ class KernelRunner:
             return str(error).splitlines()[0]
         return None
 
+    def arrays(self, closed: ClosedJaxpr, checked: bool) -> KernelOfArrays | None:
+        """A function of matrices with kernels that loop over their entries; None where it has no such form."""
+
+        def kernels(closed: ClosedJaxpr) -> Kernels | None:
+            try:
+                form = array_form(closed, checked)
+            except (NotNative, TooLarge):
+                return None
+            operations = array_operations(closed.jaxpr).total()
+            made = functools.lru_cache(lambda single: self.built(ArrayBody, form, (), single, "cpu"))
+            return lambda rows, platform: (
+                made(rows == 1) if platform == "cpu" and operations * rows >= self.least else None
+            )
+
+        return None if kernels(closed) is None else KernelOfArrays(closed, kernels, alone=True)
+
     def built(
-        self, kind: type[KernelBody], form: ScalarProgram, more: tuple[Any, ...], single: bool, platform: str
+        self, kind: type[KernelBody], form: Any, more: tuple[Any, ...], single: bool, platform: str
     ) -> Kernel | None:
         """A kernel that passed the self-test; None, with a warning, if there is none."""
         started, target = time.perf_counter(), TARGETS[platform]
@@ -224,11 +254,25 @@ class Native(Backend):
         return f"{super().__str__()} ({with_it})"
 
     def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
+        if (emission := self.whole(closed)) is not None:
+            return emission
         try:
             program = self.scalars.scalarised(closed)
         except TooLarge:
             return self.scalars.emit(closed, fixed)
         return self._native(program, lambda: self.scalars.emit(closed, fixed))
+
+    def whole(self, closed: ClosedJaxpr) -> Emission | None:
+        widest = max((v.aval.size for v in variables(closed.jaxpr)), default=0)
+        if widest <= self.widest or not installed() or not is_pure(closed):
+            return None
+        with contextlib.suppress(TooLarge, NotNative):
+            return self._native(self.scalars.scalarised(closed, moved=True), _not_native)
+        program = self.runner.arrays(closed, self.scalars.checked)
+        if program is None:
+            return None
+        reason = f"native: loops over arrays, {array_operations(closed.jaxpr).total():,} operations"
+        return Emission(lambda *a: call_program(program, *a), None, reason, loops=True)
 
     def derived(self, program: ScalarProgram) -> Derived:
         return self._kernels(program)[0] or Derived(program)
@@ -276,12 +320,18 @@ class Native(Backend):
         say_once("tx.Native needs llvmlite: pip install 'twistax[native]'; XLA compiles these functions instead")
 
 
+def _not_native() -> Emission:
+    raise NotNative
+
+
 @dataclasses.dataclass(frozen=True)
 class _InLoops(Native):
     """The backend inside loops: `scalars`, and kernels for programs that take XLA long to compile."""
 
     def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
         emission = self.scalars.emit(closed, fixed)
+        if emission.program is None and not emission.few:
+            return self.whole(closed) or emission
         if emission.program is None or emission.program.operations < _LONG or not installed():
             return emission
         return self._native(emission.program, lambda: emission)
@@ -309,19 +359,22 @@ class Auto(Native):
         emission = self.scalars.emit(closed, fixed)
         if not installed():
             return emission
+        if emission.program is None and not emission.few:
+            return self.whole(closed) or emission
         if emission.program is None:
-            return self._in_batches(closed, emission) if emission.few and is_pure(closed) else emission
+            return self._in_batches(closed, emission) if is_pure(closed) else emission
         return self._native(emission.program, lambda: emission)
 
     def _in_batches(self, closed: ClosedJaxpr, emission: Emission) -> Emission:
         """A function that runs as it is written alone, and as a kernel in batches."""
 
-        def scalars(closed: ClosedJaxpr) -> Derived | None:
+        def scalars(closed: ClosedJaxpr) -> Kernels | None:
             with contextlib.suppress(TooLarge):
-                return self._kernels(self.scalars.scalarised(closed))[0] if outweighs_memory(closed.jaxpr) else None
+                derived = self._kernels(self.scalars.scalarised(closed))[0] if outweighs_memory(closed.jaxpr) else None
+                return None if derived is None else derived.kernel
             return None
 
-        program = BatchedByKernel(closed, scalars)
+        program = KernelOfArrays(closed, scalars)
         function = lambda *a: emission.function(*a) if joins_program() else call_program(program, *a)  # noqa: E731
         reason = f"{emission.reason}; batches of {self.least:,} operations and more are kernels"
         return dataclasses.replace(emission, function=function, reason=reason)
