@@ -115,7 +115,8 @@ class KernelOfArrays(ArrayProgram):
         self.exports_kernels = alone
 
     @functools.cached_property
-    def _kernels(self) -> Kernels | None:
+    def kernels(self) -> Kernels | None:
+        """What makes its kernels; None: JAX runs it."""
         return self._make(self.program)
 
     def primitive(self, inside: bool) -> Primitive:
@@ -123,7 +124,7 @@ class KernelOfArrays(ArrayProgram):
 
     def kernel(self, rows: int, platform: str) -> Rows | None:
         # One member alone is not read as scalars, which takes longer than XLA takes to compile it.
-        return None if (rows == 1 and not self._alone) or self._kernels is None else self._kernels(rows, platform)
+        return None if (rows == 1 and not self._alone) or self.kernels is None else self.kernels(rows, platform)
 
     def made(self, program: ClosedJaxpr) -> KernelOfArrays:
         return KernelOfArrays(program, self._make, alone=self._alone)

@@ -19,7 +19,7 @@ from ..errors import ModelError
 from ..jax_inside import ClosedJaxpr, Jaxpr, Literal, all_equations, inner_jaxprs, is_traced, jaxpr_as_fun, spread
 from .array_primitive import on_any_mesh
 from .graph import LIMITS, Limits, TooLarge
-from .jax_primitive import Derived, call_program
+from .jax_primitive import Derived, Differentiable, call_program
 from .loops import MakeKernel, Repeated, Ring
 from .primitives.table import entry_of
 from .program import ScalarProgram, called_names
@@ -83,7 +83,7 @@ class StepCompiler:
         """
         return None
 
-    def differentiable(self, step: Step, shapes: Shapes) -> Derived | None:
+    def differentiable(self, step: Step, shapes: Shapes) -> Differentiable | None:
         """A step as one program, for loops that are differentiated; None: it runs as it is."""
         return None
 

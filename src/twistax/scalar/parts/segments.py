@@ -74,15 +74,17 @@ class Segmented(ArrayProgram):
 def has_parts(program: ClosedJaxpr, backend: Backend) -> bool:
     """Whether a function has loops that are not unrolled, or batches."""
     program = inlined(program)
-    return any(map(is_loop, program.jaxpr.eqns)) or _batch(program, backend) is not None
+    if any(map(is_loop, program.jaxpr.eqns)):
+        return True
+    return _batch(program, backend) is not None and backend.whole(program) is None
 
 
 def emit_segments(program: ClosedJaxpr, backend: Backend) -> tuple[Callable[..., list[jax.Array]], list[Reason]]:
     """The function that runs a jaxpr, and a reason for each of its parts."""
     program = inlined(program)
-    jaxpr, batch = program.jaxpr, _batch(program, backend)
-    if batch is None and not any(map(is_loop, jaxpr.eqns)):
-        emission = backend.emit(program)
+    jaxpr, has_loops, batch = program.jaxpr, any(map(is_loop, program.jaxpr.eqns)), _batch(program, backend)
+    emission = None if has_loops else backend.emit(program) if batch is None else backend.whole(program)
+    if emission is not None:
         return emission.function, [reason_of(emission)]
     parts = _parts(program, backend, batch)
 
@@ -149,9 +151,6 @@ def _straight(constants: Constants, eqns: Sequence[Any], outputs: Sequence[Any],
 def _batch(program: ClosedJaxpr, backend: Backend) -> BatchEquations | None:
     """The equations of the batch on which a function computes most; None where scalars or arrays suit it better."""
     if backend.widest is None:
-        return None
-    wide = any(v.aval.size > backend.widest for v in variables(program.jaxpr))
-    if wide and not any(map(is_loop, program.jaxpr.eqns)) and backend.whole(program) is not None:
         return None
     sizes, total, shortest = Counter[int](), operations_of(program.jaxpr.eqns).total(), _FEWEST
     arrays = [v.aval for v in variables(program.jaxpr) if v.aval.size > backend.widest]

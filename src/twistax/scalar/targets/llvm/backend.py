@@ -36,7 +36,7 @@ from ...backends import (
     variables,
 )
 from ...graph import TooLarge
-from ...jax_primitive import Derived, call_program
+from ...jax_primitive import Derived, Differentiable, call_program
 from ...loops import MakeKernel, Repeated, Ring
 from ...program import Rows, ScalarProgram
 from ...small_call import joins_program
@@ -199,7 +199,8 @@ class KernelRunner:
                 made(rows == 1) if platform == "cpu" and operations * rows >= self.least else None
             )
 
-        return None if kernels(closed) is None else KernelOfArrays(closed, kernels, alone=True)
+        program = KernelOfArrays(closed, kernels, alone=True)
+        return None if program.kernels is None else program
 
     def built(
         self, kind: type[KernelBody], form: Any, more: tuple[Any, ...], single: bool, platform: str
@@ -421,12 +422,17 @@ class _KernelSteps(StepCompiler):
 
         return kernel
 
-    def differentiable(self, step: Step, shapes: Shapes) -> Derived | None:
+    def differentiable(self, step: Step, shapes: Shapes) -> Differentiable | None:
         program = self._whole_step(step, shapes)
         if program is None:
-            return self.scalars.steps().differentiable(step, shapes)
+            return self._of_arrays(step, shapes) or self.scalars.steps().differentiable(step, shapes)
         program.graph.largest = ANY_SIZE
         return Derived(program, None, self.runner)
+
+    def _of_arrays(self, step: Step, shapes: Shapes) -> KernelOfArrays | None:
+        """A step on matrices as loops over their entries."""
+        closed = pure(step, shapes) if installed() else None
+        return None if closed is None else self.runner.arrays(closed, self.scalars.checked)
 
     def shared(self, function: Step, shapes: Shapes) -> Derived | None:
         program = self._whole_step(function, shapes)

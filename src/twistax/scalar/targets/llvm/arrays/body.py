@@ -12,7 +12,7 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from .....jax_inside import ClosedJaxpr, Literal, all_equations, jaxpr_as_fun, part
+from .....jax_inside import ClosedJaxpr, Literal, all_equations, jaxpr_as_fun, part, quick_compile
 from ....graph import TooLarge
 from ....parts.inlining import inlined
 from ....parts.part import Constants
@@ -106,6 +106,7 @@ class ArrayBody(KernelBody):
         read = {v for eqn in jaxpr.eqns for v in eqn.invars if not isinstance(v, Literal)} | {*_variables(jaxpr.outvars)}
         needed = {k for k, v in enumerate(jaxpr.invars) if v in read}
         super().__init__(form, lanes, arguments, results, needed)
+        self._by_jax: Any = None
 
     def body(self, code: Code, rows: Mapping[str, Rows]) -> None:
         writer, start = _Writer(code, self.program), len(code.lines)
@@ -137,13 +138,10 @@ class ArrayBody(KernelBody):
         """All results by JAX."""
         count = len(arguments[0]) if arguments else 1
         shaped = [rounded(a).reshape(count, *array.shape) for a, array in zip(arguments, self.arguments, strict=True)]
-        with jax.ensure_compile_time_eval():
-            results = self._by_jax(*shaped)
-        return [np.asarray(r).reshape(count, -1) for r in results]
-
-    @functools.cached_property
-    def _by_jax(self) -> Any:
-        return jax.jit(jax.vmap(jaxpr_as_fun(self.program.program), axis_size=None if self.arguments else 1))
+        if self._by_jax is None:
+            run = jax.vmap(jaxpr_as_fun(self.program.program), axis_size=count)
+            self._by_jax = jax.jit(run, compiler_options=quick_compile(0), keep_unused=True).lower(*shaped).compile()
+        return [np.asarray(r).reshape(count, -1) for r in self._by_jax(*shaped)]
 
 
 class _Writer(Matrices):
@@ -232,9 +230,11 @@ class _Equations:
         read = _variables([v for eqn in eqns for v in eqn.invars] + self._jaxpr.outvars)
         wanted = [v for v in dict.fromkeys(read) if v in self._constants.known]
         if wanted:
-            with jax.ensure_compile_time_eval():
-                numbers = jax.jit(jaxpr_as_fun(self._constants.close([], wanted)))()
-            for v, array in zip(wanted, map(np.asarray, numbers), strict=True):
+            program = scalarize(self._constants.close([], wanted))
+            for v, entries in zip(wanted, program.outputs, strict=True):
+                array = program.graph.values(entries)
+                if array is None:
+                    raise NotNative("it has constants that are not computed")
                 alike = array.size > 0 and bool((array == array.flat[0]).all())
                 self._values[v] = number(array.flat[0], array.dtype, array.shape) if alike else self._writer.table(array)
         for v, array in zip(self._jaxpr.constvars, self._program.consts, strict=True):

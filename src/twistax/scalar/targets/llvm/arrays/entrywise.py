@@ -29,12 +29,14 @@ class Lazy:
     Attributes:
         make: from a reader and the nodes of one entry of the operands to that of the result.
         operands: arrays of the same shape.
+        number: of an array of one number.
     """
 
     make: Callable[..., Nodes]
     operands: tuple[Value, ...]
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
+    number: Any = None
 
     @functools.cached_property
     def operations(self) -> int:
@@ -46,7 +48,7 @@ Value: TypeAlias = "View | Lazy"
 
 def number(value: Any, dtype: np.dtype[Any], shape: tuple[int, ...] = ()) -> Lazy:
     """An array of one number."""
-    return Lazy(lambda reader: reader.graph.array(np.asarray(value, dtype)), (), shape, dtype)
+    return Lazy(lambda reader: reader.graph.array(np.asarray(value, dtype)), (), shape, dtype, value)
 
 
 def viewed(value: Value, view: Callable[[View], View], shape: tuple[int, ...]) -> Value:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from jax import lax
 
 from .....jax_inside import closed, scan_parts
 from ....parts.inlining import inlined
+from ....primitives.table import OPERATIONS
 from ..code import NotNative
 from .entrywise import Lazy, Value, broadcast, number, viewed
 from .memory import View, steps
@@ -128,31 +129,113 @@ def _gather(writer: Any, eqn: Any, a: Value, indices: Value) -> list[Value]:
     whole = all(n == m or k in axes for k, (n, m) in enumerate(zip(p["slice_sizes"], a.shape, strict=True)))
     if len(axes) != 1 or tuple(map(int, numbers.collapsed_slice_dims)) != axes or numbers.operand_batching_dims:
         raise NotNative("a gather along several axes has no native form")
-    if not whole or p["mode"] == lax.GatherScatterMode.FILL_OR_DROP:
-        raise NotNative("a gather that fills has no native form")
+    fills = p["mode"] == lax.GatherScatterMode.FILL_OR_DROP
+    if not whole or (fills and (p["fill_value"] is not None or a.dtype.kind != "f")):
+        raise NotNative("a gather of parts of slices has no native form")
     axis, outer = axes[0], [k for k in range(len(shape)) if k not in numbers.offset_dims]
     array, places = writer.stored(a), writer.stored(indices)
     result = writer.buffer(array.dtype, shape)
     kept = [k for k in range(len(array.shape)) if k != axis]
     inner = [result.strides[int(k)] for k in numbers.offset_dims]
     strides = [[result.strides[k] for k in outer], list(places.strides[:-1])]
-    rest = [inner, [array.strides[k] for k in kept]]
-    code, kind, last = writer.code, places.kind, array.shape[axis] - 1
+    rest, code = [inner, [array.strides[k] for k in kept]], writer.code
 
     def slices(entries: list[str]) -> None:
+        last = array.shape[axis] - 1
+        starts = _starts(writer, [(places, entries[1], last, array.strides[axis])])
         index = writer.load(places, entries[1])
-        index = index if kind == "i64" else code.convert("sext", kind, "i64", index)
-        index = code.intrinsic("smax", "i64", index, code.constant("i64", 0))
-        index = code.intrinsic("smin", "i64", index, code.constant("i64", last))
-        starts = [writer.times(one, array.strides[axis]) for one in writer.lanes_of("i64", index)]
+        there = code.instruction("icmp ule", places.kind, index, code.constant(places.kind, last))
 
         def entry(inside: list[str]) -> None:
-            there = [writer.plus(start, inside[1]) for start in starts]
-            writer.store(result, writer.plus(entries[0], inside[0]), writer.gathered(array, there))
+            value = writer.gathered(array, [writer.plus(start, inside[1]) for start in starts])
+            if fills:
+                value = code.select(array.kind, there, value, code.constant(array.kind, np.nan))
+            writer.store(result, writer.plus(entries[0], inside[0]), value)
 
         writer.over([array.shape[k] for k in kept], rest, 1, entry)
 
     writer.over([shape[k] for k in outer], strides, 1, slices)
+    return [result]
+
+
+def _scatter(writer: Any, eqn: Any, a: Value, indices: Value, updates: Value) -> list[Value]:
+    """Slices at places along one axis are set, or added to one after the other."""
+    numbers, p, adds = eqn.params["dimension_numbers"], eqn.params, eqn.primitive.name == "scatter-add"
+    axes = tuple(map(int, numbers.scatter_dims_to_operand_dims))
+    if len(axes) != 1 or tuple(map(int, numbers.inserted_window_dims)) != axes or numbers.operand_batching_dims:
+        raise NotNative("a scatter along several axes has no native form")
+    axis, last = axes[0], a.shape[axes[0]] - 1
+    known = None if isinstance(indices, View) else indices.number
+    within = known is not None and 0 <= int(known) <= last
+    if p["mode"] == lax.GatherScatterMode.FILL_OR_DROP and not within:
+        raise NotNative("a scatter that leaves out places has no native form")
+    result, places, new = _copied(writer, a), writer.stored(indices), writer.stored(updates)
+    windows = [int(k) for k in numbers.update_window_dims]
+    outer, kept = (
+        [k for k in range(n) if k not in out] for n, out in ((len(new.shape), windows), (len(a.shape), [axis]))
+    )
+    if [new.shape[k] for k in windows] != [a.shape[k] for k in kept]:
+        raise NotNative("a scatter of parts of slices has no native form")
+    form = OPERATIONS["add"].llvm.of(a.dtype)
+
+    def slices(entries: list[str]) -> None:
+        starts = _starts(writer, [(places, entries[1], last, result.strides[axis])])
+
+        def entry(inside: list[str]) -> None:
+            there = [writer.plus(start, inside[1]) for start in starts]
+            value = writer.load(new, writer.plus(entries[0], inside[0]))
+            value = form(writer.code, result.kind, writer.gathered(result, there), value) if adds else value
+            writer.scattered(result, there, value)
+
+        strides = [[new.strides[k] for k in windows], [result.strides[k] for k in kept]]
+        writer.over([a.shape[k] for k in kept], strides, 1, entry)
+
+    writer.over([new.shape[k] for k in outer], [[new.strides[k] for k in outer], places.strides[:-1]], 1, slices)
+    return [result]
+
+
+def _starts(writer: Any, places: Sequence[tuple[View, str, int, int]]) -> list[str]:
+    """The entry for each member at places that stand in memory: an array, the entry in it, the last place and the
+    stride.
+    """
+    code, totals = writer.code, ["0"] * writer.code.lanes
+    for view, entry, last, stride in places:
+        index = writer.load(view, entry)
+        index = index if view.kind == "i64" else code.convert("sext", view.kind, "i64", index)
+        index = code.intrinsic("smax", "i64", index, code.constant("i64", 0))
+        index = code.intrinsic("smin", "i64", index, code.constant("i64", last))
+        moved = [writer.times(one, stride) for one in writer.lanes_of("i64", index)]
+        totals = list(map(writer.plus, totals, moved))
+    return totals
+
+
+def _at_run_time(writer: Any, a: View, part: tuple[int, ...], indices: Sequence[Value]) -> list[str]:
+    """The first entry of a part of an array, for each member."""
+    places = zip(indices, a.shape, part, a.strides, strict=True)
+    return _starts(writer, [(writer.stored(i), "0", n - m, stride) for i, n, m, stride in places if n > m])
+
+
+def _dynamic_slice(writer: Any, eqn: Any, a: Value, *indices: Value) -> list[Value]:
+    array, shape = writer.stored(a), eqn.outvars[0].aval.shape
+    result, starts = writer.buffer(array.dtype, shape), _at_run_time(writer, array, shape, indices)
+
+    def entry(entries: list[str]) -> None:
+        there = [writer.plus(start, entries[1]) for start in starts]
+        writer.store(result, entries[0], writer.gathered(array, there))
+
+    writer.over(shape, [result.strides, array.strides], 1, entry)
+    return [result]
+
+
+def _dynamic_update_slice(writer: Any, eqn: Any, a: Value, update: Value, *indices: Value) -> list[Value]:
+    result, new = _copied(writer, a), writer.stored(update)
+    starts = _at_run_time(writer, result, new.shape, indices)
+
+    def entry(entries: list[str]) -> None:
+        there = [writer.plus(start, entries[1]) for start in starts]
+        writer.scattered(result, there, writer.load(new, entries[0]))
+
+    writer.over(new.shape, [new.strides, result.strides], 1, entry)
     return [result]
 
 
@@ -187,6 +270,12 @@ def _copied(writer: Any, value: Value) -> View:
     return target
 
 
+def _iota(writer: Any, eqn: Any) -> list[Value]:
+    aval, axis = eqn.outvars[0].aval, eqn.params["dimension"]
+    numbers = writer.table(np.arange(aval.shape[axis], dtype=aval.dtype))
+    return [broadcast(numbers, aval.shape, [axis])]
+
+
 def _same(writer: Any, eqn: Any, *arrays: Value) -> list[Value]:
     return list(arrays)
 
@@ -209,6 +298,10 @@ WRITERS: Mapping[str, Callable[..., list[Value]]] = {
     "lu": _lu,
     "triangular_solve": lambda writer, eqn, a, b: [writer.triangular_solve(eqn.params, a, b)],
     "gather": _gather,
+    **dict.fromkeys(("scatter", "scatter-add"), _scatter),
+    "dynamic_slice": _dynamic_slice,
+    "dynamic_update_slice": _dynamic_update_slice,
+    "iota": _iota,
     "scan": _scan,
     **dict.fromkeys(("copy", "optimization_barrier", "stop_gradient"), _same),
 }

@@ -163,6 +163,12 @@ class Loops:
             value = code.put(view.stored, value, lane, self._one(view, place))
         return self._truth(code, view, value)
 
+    def scattered(self, view: View, entries: Sequence[str], value: str) -> None:
+        """Write a different entry for each member."""
+        value = self.code.convert("zext", "i1", "i8", value) if view.kind == "i1" else value
+        for place, one in zip(self.member(view, entries), self.lanes_of(view.stored, value), strict=True):
+            self.code.lines.append(f"store {view.stored} {one}, ptr {place}, align {view.dtype.itemsize}")
+
     def lanes_of(self, kind: str, value: str) -> list[str]:
         """The number of each member."""
         return [self.code.entry(kind, value, lane) for lane in range(self.code.lanes)]
