@@ -182,7 +182,7 @@ class KernelRunner:
         try:
             native_form(_XLA.scalarised(closed))
         except (NotNative, TooLarge) as error:
-            return str(error).splitlines()[0]
+            return None if self.arrays(closed, False) else str(error).splitlines()[0]
         return None
 
     def arrays(self, closed: ClosedJaxpr, checked: bool) -> KernelOfArrays | None:

@@ -147,6 +147,10 @@ class Entrywise(Loops):
             return 1
         return self.width(shape[-1])
 
+    def reads(self, value: Value) -> list[View]:
+        """The arrays that an expression reads."""
+        return [value] if isinstance(value, View) else [view for o in value.operands for view in self.reads(o)]
+
     def _program(self, value: Value) -> tuple[list[View], ScalarProgram]:
         """The arrays that an expression reads, and the program of one entry."""
         graph = ScalarGraph(self.precision, self.checked, limits=NATIVE_LIMITS)

@@ -130,7 +130,7 @@ def _gather(writer: Any, eqn: Any, a: Value, indices: Value) -> list[Value]:
     if len(axes) != 1 or tuple(map(int, numbers.collapsed_slice_dims)) != axes or numbers.operand_batching_dims:
         raise NotNative("a gather along several axes has no native form")
     fills = p["mode"] == lax.GatherScatterMode.FILL_OR_DROP
-    if not whole or (fills and (p["fill_value"] is not None or a.dtype.kind != "f")):
+    if not whole or (fills and a.dtype.kind != "f"):
         raise NotNative("a gather of parts of slices has no native form")
     axis, outer = axes[0], [k for k in range(len(shape)) if k not in numbers.offset_dims]
     array, places = writer.stored(a), writer.stored(indices)
@@ -138,6 +138,7 @@ def _gather(writer: Any, eqn: Any, a: Value, indices: Value) -> list[Value]:
     kept = [k for k in range(len(array.shape)) if k != axis]
     inner = [result.strides[int(k)] for k in numbers.offset_dims]
     strides = [[result.strides[k] for k in outer], list(places.strides[:-1])]
+    fill = np.nan if p["fill_value"] is None else p["fill_value"]
     rest, code = [inner, [array.strides[k] for k in kept]], writer.code
 
     def slices(entries: list[str]) -> None:
@@ -149,7 +150,7 @@ def _gather(writer: Any, eqn: Any, a: Value, indices: Value) -> list[Value]:
         def entry(inside: list[str]) -> None:
             value = writer.gathered(array, [writer.plus(start, inside[1]) for start in starts])
             if fills:
-                value = code.select(array.kind, there, value, code.constant(array.kind, np.nan))
+                value = code.select(array.kind, there, value, code.constant(array.kind, fill))
             writer.store(result, writer.plus(entries[0], inside[0]), value)
 
         writer.over([array.shape[k] for k in kept], rest, 1, entry)
@@ -252,8 +253,10 @@ def _scan(writer: Any, eqn: Any, *values: Value) -> list[Value]:
         if eqn.params["reverse"]:
             k = writer.code.emit(f"sub i64 {length - 1}, {k}")
         results = writer.run(body, [*constants, *state, *(writer.within(row, k) for row in rows)])
-        # A state may be what another one becomes.
-        new = [_copied(writer, v) for v in results[:carried]]
+        # A state may be what another one becomes; those that only add to themselves are added to where they stand.
+        roots = {s.root for s in state}
+        alone = [all(r == s or r.root not in roots for r in writer.reads(v)) for v, s in zip(results, state)]
+        new = [v if one else _copied(writer, v) for v, one in zip(results, alone)]
         for target, value in zip(stacked, results[carried:], strict=True):
             writer.assign(writer.within(target, k), value)
         for target, value in zip(state, new, strict=True):

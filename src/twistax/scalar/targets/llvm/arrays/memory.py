@@ -19,6 +19,7 @@ class View:
         pointer: to its first entry.
         strides: entries from one place along an axis to the next; zero where an axis repeats.
         common: whether an entry is one number, which all members share.
+        root: the pointer to the whole buffer of which it is a part.
     """
 
     pointer: str
@@ -26,6 +27,7 @@ class View:
     shape: tuple[int, ...]
     strides: tuple[int, ...]
     common: bool = False
+    root: str = ""
 
     @property
     def kind(self) -> str:
@@ -121,7 +123,7 @@ class Loops:
         entries = 1 + sum((n - 1) * s for n, s in zip(shape, strides, strict=True)) if all(shape) else 0
         pointer = self.code.emit(f"getelementptr i8, ptr {self.scratch}, i64 {self.size}")
         self.size += -(-entries * self.code.lanes * dtype.itemsize // 64) * 64
-        return View(pointer, dtype, tuple(shape), tuple(strides))
+        return View(pointer, dtype, tuple(shape), tuple(strides), False, pointer)
 
     def table(self, array: np.ndarray[Any, Any]) -> View:
         """An array of numbers."""
