@@ -325,7 +325,11 @@ def outweighs_memory(jaxpr: Jaxpr) -> bool:
 
 def wide_share(jaxpr: Jaxpr, widest: int) -> float:
     """The share of the operations that are on arrays of more entries."""
-    wide = [eqn for eqn in jaxpr.eqns if any(v.aval.size > widest for v in (*eqn.invars, *eqn.outvars))]
+
+    def sizes(eqn: Any) -> list[int]:
+        return [v.aval.size for v in (*eqn.invars, *eqn.outvars)]
+
+    wide = [eqn for eqn in jaxpr.eqns if max(sizes(eqn), default=0) > widest]
     return operations_of(wide).total() / max(array_operations(jaxpr).total(), 1)
 
 

@@ -16,6 +16,8 @@ from twistax.scalar.targets.llvm.arrays.body import ArrayBody, array_form
 from twistax.scalar.targets.llvm.kernel import HostKernel
 from twistax.scalar.targets.llvm.machine_code import Processor
 
+pytestmark = pytest.mark.thorough
+
 RANDOM = np.random.default_rng(0)
 
 
@@ -44,7 +46,7 @@ def agrees(function: Callable[..., Any], *arguments: Any) -> None:
                 np.testing.assert_allclose(result, expected[k].reshape(rows, -1), atol=tolerance * size, rtol=0.0)
 
 
-@pytest.mark.parametrize(("m", "k", "n"), [(12, 12, 12), (5, 17, 3), (33, 2, 20), (1, 30, 1)])
+@pytest.mark.parametrize(("m", "k", "n"), [(12, 17, 12), (33, 2, 20), (1, 30, 1)])
 def test_products(m: int, k: int, n: int) -> None:
     def products(a: Any, at: Any, b: Any, bt: Any, x: Any) -> Any:
         pairs = itertools.product((a, at.T), (b, bt.T))
@@ -60,13 +62,18 @@ def test_products_along_several_axes() -> None:
     agrees(products, drawn(3, 6, 4, 2), drawn(4, 2, 5), drawn(3, 6, 7))
 
 
-@pytest.mark.parametrize("n", [5, 12, 17, 32])
+@pytest.mark.parametrize("n", [5, 17])
 def test_factors_and_solutions(n: int) -> None:
     def solved(a: Any, b: Any, x: Any) -> Any:
         factor = jax.scipy.linalg.cho_factor(a)
-        return jnp.linalg.cholesky(a), lax.linalg.lu(a + 3.0 * jnp.triu(a.T @ a)), jnp.linalg.solve(a, x), (
-            jax.scipy.linalg.cho_solve(factor, b),
-            jnp.linalg.solve(a, b),
+        return (
+            jnp.linalg.cholesky(a),
+            lax.linalg.lu(a + 3.0 * jnp.triu(a.T @ a)),
+            jnp.linalg.solve(a, x),
+            (
+                jax.scipy.linalg.cho_solve(factor, b),
+                jnp.linalg.solve(a, b),
+            ),
         )
 
     agrees(solved, positive(n), drawn(n, 3), drawn(n))
@@ -96,7 +103,7 @@ def test_entries_sums_and_places() -> None:
         moved = jnp.concatenate([a, a[:, ::2]], 1), jnp.pad(a, ((1, 2), (0, 3))), a[2:7, 1:].reshape(-1), a.T[:, 3]
         where = (100.0 * jnp.abs(c[:8])).astype(int)
         where = jnp.where(where > 6, 6, where)
-        placed = a[where], a.at[where].add(2.0 * a[:8]), lax.dynamic_slice(a, (where[0], where[1]), (3, 4))
+        placed = a[where], a.at[where].add(2.0 * a[:8], mode="clip"), lax.dynamic_slice(a, (where[0], where[1]), (3, 4))
         updated = lax.dynamic_update_slice(a, a[:2, :2], (where[2], where[3]))
         return chosen, sums, moved, placed, updated, jnp.stack([a, 2.0 * a], 1), a @ b, jnp.tril(a)
 

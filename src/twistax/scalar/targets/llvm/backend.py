@@ -7,7 +7,6 @@ import dataclasses
 import functools
 import importlib.metadata
 import importlib.util
-import math
 import time
 import weakref
 from abc import ABC, abstractmethod
@@ -36,8 +35,7 @@ from ...backends import (
     variables,
 )
 from ...graph import TooLarge
-from ...jax_primitive import Derived, Differentiable, call_program
-from ...loops import MakeKernel, Repeated, Ring
+from ...jax_primitive import Derived, call_program
 from ...program import Rows, ScalarProgram
 from ...small_call import joins_program
 from ...walk import uncollected
@@ -46,12 +44,11 @@ from ..cuda.kernel import CudaKernel
 from ..cuda.ptx import libdevice
 from .arrays.body import ArrayBody, array_form
 from .code import NotNative
-from .iterations import Iterations
 from .kernel import HostKernel, Kernel
-from .kernel_body import NATIVE_LIMITS, KernelBody, Straight, native_form
-from .loop import LoopBody
-from .machine_code import BuildError, Processor
+from .kernel_body import KernelBody, Straight, native_form
+from .machine_code import BuildError, Processor, installed
 from .self_test import check_kernel
+from .step_kernels import KernelSteps
 
 #: An event of `jax.monitoring` for each kernel, with the seconds to make it or to read it from the cache.
 KERNEL_EVENT = "/twistax/kernel"
@@ -132,21 +129,12 @@ class Cuda(Target):
 TARGETS: Mapping[str, Target] = {"cpu": Host(), "cuda": Cuda()}
 
 
-def on_all_platforms() -> bool:
-    """Whether kernels can be made for all platforms of this process."""
-    return all(name in TARGETS for name in backends())
-
-
 def notes() -> str:
     """How native programs run on the devices of this process."""
     return "".join(f"; {target.note}" for target in TARGETS.values() if target.present and target.note)
 
 
 # ---- backends --------------------------------------------------------------------------------------------------------
-
-
-def installed() -> bool:
-    return importlib.util.find_spec("llvmlite") is not None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -282,7 +270,7 @@ class Native(Backend):
         return _InLoops(self.scalars, self.threads, self.least)
 
     def steps(self) -> StepCompiler:
-        return _KernelSteps(self.scalars, self.runner)
+        return KernelSteps(self.scalars, self.runner)
 
     @property
     def widest(self) -> int:  # type: ignore[override]
@@ -382,74 +370,3 @@ class Auto(Native):
 
     def _say_missing(self) -> None:
         """No warning: the user did not ask for llvmlite."""
-
-
-@dataclasses.dataclass(frozen=True)
-class _KernelSteps(StepCompiler):
-    """Steps as kernels, and as scalars where they have no native form."""
-
-    scalars: XLA
-    runner: KernelRunner
-
-    def repeated(self, step: Step, shapes: Shapes, state: int, row: Step | None = None) -> Repeated | None:
-        program = self._whole_step(step, shapes)
-        if program is None:
-            return None
-        record = program.restricted(program.outputs[state + 1 :])
-        form, row_form = native_form(program), None
-        if record.outputs and row is not None:
-            outputs = zip(record.outputs, record.types, strict=True)
-            shapes_of_record = [jax.ShapeDtypeStruct(array.shape, dtype) for array, dtype in outputs]
-            row_program = self._whole_step(row, [*shapes_of_record, shapes_of_record[0]])
-            if row_program is None:
-                return None
-            row_form = native_form(row_program)
-        return Repeated(
-            form, state, functools.partial(self.runner.built, Iterations, form, (state, row_form)), row_form
-        )
-
-    def looped(self, step: Step, shapes: Shapes, ring: Ring) -> MakeKernel | None:
-        if max((math.prod(array.shape) for array in shapes), default=0) > self.scalars.widest:
-            return None
-        program = self._whole_step(step, shapes)
-        if program is None:
-            return None
-        form = native_form(program)
-
-        def kernel(single: bool, platform: str) -> Rows | None:
-            rows = self.runner.built(LoopBody, form, (ring,), single, platform)
-            return None if rows is None else functools.partial(rows, length=ring.length or 0)
-
-        return kernel
-
-    def differentiable(self, step: Step, shapes: Shapes) -> Differentiable | None:
-        program = self._whole_step(step, shapes)
-        if program is None:
-            return self._of_arrays(step, shapes) or self.scalars.steps().differentiable(step, shapes)
-        program.graph.largest = ANY_SIZE
-        return Derived(program, None, self.runner)
-
-    def _of_arrays(self, step: Step, shapes: Shapes) -> KernelOfArrays | None:
-        """A step on matrices as loops over their entries."""
-        closed = pure(step, shapes) if installed() else None
-        return None if closed is None else self.runner.arrays(closed, self.scalars.checked)
-
-    def shared(self, function: Step, shapes: Shapes) -> Derived | None:
-        program = self._whole_step(function, shapes)
-        return None if program is None else Derived(program, None, dataclasses.replace(self.runner, least=0))
-
-    def _whole_step(self, step: Step, shapes: Shapes) -> ScalarProgram | None:
-        """The program of a step that has a native form, all stages unrolled; None: it has none, or no kernels run."""
-        # Without kernels an unrolled step takes long to compile and runs no faster.
-        if not installed() or not on_all_platforms():
-            return None
-        closed = pure(step, shapes)
-        if closed is None:
-            return None
-        try:
-            # A step contains more than the evaluation of its rates.
-            program = self.scalars.scalars(closed, 4 * self.scalars.largest // 3, NATIVE_LIMITS)
-            native_form(program)
-        except (NotNative, TooLarge):
-            return None
-        return program

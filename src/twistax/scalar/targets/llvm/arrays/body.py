@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -84,7 +83,9 @@ def array_form(program: ClosedJaxpr, checked: bool) -> ArrayForm:
         raise NotNative("it has numbers that no kernel has, or two precisions")
     form = ArrayForm(program, real[0], checked)
     writer = _Writer(Code(Module(Processor.host()), 1), form)
-    writer.run(program, [View("%a", np.dtype(a.dtype), a.shape, steps(a.shape)) for a in map(_aval, program.jaxpr.invars)])
+    writer.run(
+        program, [View("%a", np.dtype(a.dtype), a.shape, steps(a.shape)) for a in map(_aval, program.jaxpr.invars)]
+    )
     if writer.size > _MOST_BYTES:
         raise NotNative("its arrays take too much memory")
     return form
@@ -103,7 +104,9 @@ class ArrayBody(KernelBody):
             [Array(v.aval.shape, np.dtype(v.aval.dtype)) for v in variables]
             for variables in (jaxpr.invars, jaxpr.outvars)
         )
-        read = {v for eqn in jaxpr.eqns for v in eqn.invars if not isinstance(v, Literal)} | {*_variables(jaxpr.outvars)}
+        read = {v for eqn in jaxpr.eqns for v in eqn.invars if not isinstance(v, Literal)} | {
+            *_variables(jaxpr.outvars)
+        }
         needed = {k for k, v in enumerate(jaxpr.invars) if v in read}
         super().__init__(form, lanes, arguments, results, needed)
         self._by_jax: Any = None
@@ -212,7 +215,9 @@ class _Equations:
                 results = write(writer, eqn, *map(self.value, eqn.invars))
             for v, result in zip(eqn.outvars, results, strict=True):
                 several = self._uses[v] > 1 or (isinstance(result, Lazy) and result.operations > 50)
-                self._values[v] = writer.stored(result) if several and isinstance(result, Lazy) and result.operands else result
+                self._values[v] = (
+                    writer.stored(result) if several and isinstance(result, Lazy) and result.operands else result
+                )
 
     def results(self) -> list[Value]:
         return [self.value(v) for v in self._jaxpr.outvars]
@@ -220,7 +225,7 @@ class _Equations:
     def value(self, v: Any) -> Value:
         """The value of an operand."""
         if isinstance(v, Literal):
-            return number(v.val, np.dtype(v.aval.dtype), np.shape(v.val))
+            return number(v.val, np.dtype(_aval(v).dtype), np.shape(v.val))
         if v not in self._values:
             self._write_waiting()
         return self._values[v]
@@ -236,13 +241,18 @@ class _Equations:
                 if array is None:
                     raise NotNative("it has constants that are not computed")
                 alike = array.size > 0 and bool((array == array.flat[0]).all())
-                self._values[v] = number(array.flat[0], array.dtype, array.shape) if alike else self._writer.table(array)
+                self._values[v] = (
+                    number(array.flat[0], array.dtype, array.shape) if alike else self._writer.table(array)
+                )
         for v, array in zip(self._jaxpr.constvars, self._program.consts, strict=True):
             self._values.setdefault(v, self._writer.table(np.asarray(array)))
 
     def _entrywise(self, eqn: Any) -> Value:
         entry, aval = entry_of(eqn), eqn.outvars[0].aval
-        operands = tuple(broadcast(x, aval.shape, range(len(x.shape))) if x.shape else broadcast(x, aval.shape, ()) for x in map(self.value, eqn.invars))
+        operands = tuple(
+            broadcast(x, aval.shape, range(len(x.shape))) if x.shape else broadcast(x, aval.shape, ())
+            for x in map(self.value, eqn.invars)
+        )
 
         def make(reader: Any, *nodes: Any) -> Any:
             scalars = entry.scalars(reader, eqn, *nodes) if entry is not None else None
@@ -286,6 +296,6 @@ def _variables(variables: Sequence[Any]) -> list[Any]:
 
 def _is_small(eqn: Any) -> bool:
     entry = entry_of(eqn)
-    if entry is None or entry.read is None and not hasattr(entry, "number"):
+    if entry is None or (entry.read is None and not hasattr(entry, "number")):
         return False
     return all(v.aval.size <= _SMALL for v in (*eqn.invars, *eqn.outvars)) and eqn.primitive.name != "scan"

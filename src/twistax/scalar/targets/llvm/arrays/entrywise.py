@@ -128,9 +128,7 @@ class Entrywise(Loops):
                 return str(form(code, kind, total, self._computed(program, leaves, entries, last, width)))
 
             def step(place: str, totals: list[str]) -> list[str]:
-                moved = [
-                    self.plus(e, self.times(place, s[axis])) for e, s in zip(entries, inner[1], strict=True)
-                ]
+                moved = [self.plus(e, self.times(place, s[axis])) for e, s in zip(entries, inner[1], strict=True)]
                 return [along(axis + 1, moved, totals[0])]
 
             return self.loop("0", str(inner[0][axis]), step, [(code.vector(kind), total)])[0]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -13,7 +12,7 @@ from .....jax_inside import closed, scan_parts
 from ....parts.inlining import inlined
 from ....primitives.table import OPERATIONS
 from ..code import NotNative
-from .entrywise import Lazy, Value, broadcast, number, viewed
+from .entrywise import Lazy, Value, broadcast, viewed
 from .memory import View, steps
 
 _REDUCED: Mapping[str, tuple[str, Callable[[Any], Any]]] = {
@@ -281,7 +280,6 @@ def _iota(writer: Any, eqn: Any) -> list[Value]:
 
 def _same(writer: Any, eqn: Any, *arrays: Value) -> list[Value]:
     return list(arrays)
-
 
 
 #: By the names of primitives.

@@ -35,7 +35,9 @@ class Matrices(Entrywise):
             n, m = len(batch), len(batch) + len(rows)
             first = broadcast(_ordered(a, left_batch, free[0]), shape, range(m))
             second = broadcast(_ordered(b, right_batch, free[1]), shape, [*range(n), *range(m, len(shape))])
-            return Lazy(lambda reader, x, y: np.asarray(reader.graph.mul(int(x), int(y))), (first, second), shape, a.dtype)
+            return Lazy(
+                lambda reader, x, y: np.asarray(reader.graph.mul(int(x), int(y))), (first, second), shape, a.dtype
+            )
         if a.dtype.kind != "f":
             raise NotNative(f"products of matrices of {a.dtype} have no native form")
         A = self._grouped(self.stored(a), left_batch, free[0], left)
@@ -217,7 +219,9 @@ class Matrices(Entrywise):
                 chosen_rows = [self._wide(name, row) for row in self.lanes_of(name, chosen)]
                 self._swap(order, [k] * code.lanes, chosen_rows)
                 self.loop(
-                    "0", str(n), lambda j, _: self._swap(self._column(A, j), [k] * code.lanes, chosen_rows, A.strides[0])
+                    "0",
+                    str(n),
+                    lambda j, _: self._swap(self._column(A, j), [k] * code.lanes, chosen_rows, A.strides[0]),
                 )
                 inverse = code.instruction("fdiv", kind, code.constant(kind, 1.0), self.load(A, self.at(A, k, k)))
                 self.store(above, k, code.constant(kind, 0.0))  # vectors reach back to places that are done
@@ -245,12 +249,14 @@ class Matrices(Entrywise):
     def triangular_solve(self, p: Mapping[str, Any], a: Value, b: Value) -> Value:
         """X with T X = B, and with X T = B."""
         last = len(a.shape) - 1
-        A, lower = self.stored(a), p["lower"]
+        stored: Value = self.stored(a)
+        lower = p["lower"]
         turn = [*range(last - 1), last, last - 1]
         if not p["left_side"]:
-            A, b, lower = _ordered(A, turn), _ordered(b, turn), not lower
+            stored, b, lower = _ordered(stored, turn), _ordered(b, turn), not lower
         if p["transpose_a"]:
-            A, lower = _ordered(A, turn), not lower
+            stored, lower = _ordered(stored, turn), not lower
+        A = self.stored(stored)
         n, columns, kind = A.shape[-1], b.shape[-1], NAMES[a.dtype]
         X, _ = self._work(b)
 
@@ -355,9 +361,7 @@ class Matrices(Entrywise):
 
     def _swap(self, a: View, here: Sequence[str], there: Sequence[str], stride: int = 1) -> list[str]:
         """Change the places of two entries, of each member other ones."""
-        first, second = (
-            self.member(a, [self.times(place, stride) for place in places]) for places in (here, there)
-        )
+        first, second = (self.member(a, [self.times(place, stride) for place in places]) for places in (here, there))
         for one, other in zip(first, second, strict=True):
             x, y = (self.code.emit(f"load {a.stored}, ptr {place}, align {a.dtype.itemsize}") for place in (one, other))
             self.code.lines.append(f"store {a.stored} {y}, ptr {one}, align {a.dtype.itemsize}")

@@ -51,9 +51,7 @@ def steps(shape: Sequence[int]) -> tuple[int, ...]:
     return tuple(strides)
 
 
-def collapsed(
-    shape: Sequence[int], strides: Sequence[Sequence[int]]
-) -> tuple[tuple[int, ...], list[tuple[int, ...]]]:
+def collapsed(shape: Sequence[int], strides: Sequence[Sequence[int]]) -> tuple[tuple[int, ...], list[tuple[int, ...]]]:
     """Axes of several arrays of one shape joined where they follow one another in all of them; those of one place are
     left out.
     """
