@@ -240,9 +240,9 @@ class _Equations:
                 array = program.graph.values(entries)
                 if array is None:
                     raise NotNative("it has constants that are not computed")
-                alike = array.size > 0 and bool((array == array.flat[0]).all())
+                is_constant = array.size > 0 and bool((array == array.flat[0]).all())
                 self._values[v] = (
-                    number(array.flat[0], array.dtype, array.shape) if alike else self._writer.table(array)
+                    number(array.flat[0], array.dtype, array.shape) if is_constant else self._writer.table(array)
                 )
         for v, array in zip(self._jaxpr.constvars, self._program.consts, strict=True):
             self._values.setdefault(v, self._writer.table(np.asarray(array)))

@@ -125,11 +125,11 @@ def _gather(writer: Any, eqn: Any, a: Value, indices: Value) -> list[Value]:
     """Slices at places along one axis."""
     numbers, p, shape = eqn.params["dimension_numbers"], eqn.params, eqn.outvars[0].aval.shape
     axes = tuple(map(int, numbers.start_index_map))
-    whole = all(n == m or k in axes for k, (n, m) in enumerate(zip(p["slice_sizes"], a.shape, strict=True)))
+    keeps_slices = all(n == m or k in axes for k, (n, m) in enumerate(zip(p["slice_sizes"], a.shape, strict=True)))
     if len(axes) != 1 or tuple(map(int, numbers.collapsed_slice_dims)) != axes or numbers.operand_batching_dims:
         raise NotNative("a gather along several axes has no native form")
     fills = p["mode"] == lax.GatherScatterMode.FILL_OR_DROP
-    if not whole or (fills and a.dtype.kind != "f"):
+    if not keeps_slices or (fills and a.dtype.kind != "f"):
         raise NotNative("a gather of parts of slices has no native form")
     axis, outer = axes[0], [k for k in range(len(shape)) if k not in numbers.offset_dims]
     array, places = writer.stored(a), writer.stored(indices)

@@ -116,7 +116,7 @@ class Matrices(Entrywise):
         """C_0j = sum_k a_0k B_jk, where entries along k follow one another."""
         n, depth = B.shape
         width, high, kind = self.width(depth), _divided(n, _SUMS), NAMES[a.dtype]
-        code, whole = self.code.of(width), depth // self.width(depth)
+        code, vectors = self.code.of(width), depth // self.width(depth)
         zero = (code.vector(kind), code.constant(kind, 0.0))
 
         def block(row: str) -> None:
@@ -128,14 +128,14 @@ class Matrices(Entrywise):
                 ys = [self.load(B, self.plus(r, place), width) for r in rows]
                 return [code.multiply_add(kind, x, y, s) for y, s in zip(ys, sums, strict=True)]
 
-            sums = [self._sum(code, kind, s) for s in self.loop("0", str(whole), term, [zero] * high)]
+            sums = [self._sum(code, kind, s) for s in self.loop("0", str(vectors), term, [zero] * high)]
 
             def rest(k: str, sums: list[str]) -> list[str]:
                 x = self.load(a, k)
                 ys = [self.load(B, self.plus(r, k)) for r in rows]
                 return [self.code.multiply_add(kind, x, y, s) for y, s in zip(ys, sums, strict=True)]
 
-            sums = self.loop(str(whole * width), str(depth), rest, [(kind, s) for s in sums])
+            sums = self.loop(str(vectors * width), str(depth), rest, [(kind, s) for s in sums])
             for i, s in enumerate(sums):
                 self.store(C, self.at(C, "0", self.plus(row, str(i))), s)
 
