@@ -296,7 +296,7 @@ def _loop(constants: Constants, eqn: Any, backend: Backend) -> Part:
         reason = Reason(f"{name}: all iterations in one kernel", True)
         return Part(inputs, eqn.outvars, lambda *values: loop(looped, ring.length or -1, arguments(values)), [reason])
     program = constants.close([eqn], eqn.outvars)
-    if ring.length is not None and (emission := backend.whole(program)) is not None:
+    if ring.length is not None and not around and (emission := backend.whole(program)) is not None:
         return Part(program.jaxpr.invars, eqn.outvars, emission.function, [reason_of(emission).within(name)])
     small = known_inside(inside.jaxpr)  # as one small function a loop gains in any case
     if ring.length is None:
