@@ -7,7 +7,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 
 import twistax as tx
 
@@ -51,7 +50,6 @@ def test_the_gradient_through_twenty_steps_is_that_of_the_steps_written_out() ->
     np.testing.assert_allclose(flat_gradient(by_integrate, net), flat_gradient(by_steps, net), atol=1e-12)
 
 
-@pytest.mark.filterwarnings("ignore:rates that call the Function")
 def test_a_gradient_through_twenty_steps_is_that_of_diffrax() -> None:
     net = eqx.nn.MLP(4, 4, 64, 2, key=jax.random.key(0))
     dynamics, weights = learned(net)

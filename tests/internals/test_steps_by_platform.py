@@ -7,7 +7,7 @@ from turning_top import integrated, top
 
 import twistax as tx
 from compiled_steps import programs_of_steps
-from twistax.scalar.targets.llvm import backend
+from twistax.scalar.targets.llvm import step_kernels
 
 
 @pytest.mark.parametrize(("platform", "kernels"), [("tpu", False), ("cuda", True)])
@@ -15,7 +15,7 @@ def test_other_accelerators_take_no_kernels(platform: str, kernels: bool, monkey
     """There a step written out whole would compile for long and run no faster."""
     pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
     dynamics = tx.compile(top(), backend=tx.Native())
-    monkeypatch.setattr(backend, "backends", lambda: {"cpu": None, platform: None})
+    monkeypatch.setattr(step_kernels, "backends", lambda: {"cpu": None, platform: None})
     cost = integrated(dynamics, steps=3, method=tx.RKMK(tx.tableaus.DOP853))
     jax.make_jaxpr(cost)(jnp.zeros(3))
     jax.make_jaxpr(jax.grad(cost))(jnp.zeros(3))

@@ -32,7 +32,7 @@ def test_signs_of_zeros_are_those_that_are_documented() -> None:
 
 # ---- where nothing is gained -----------------------------------------------------------------------------------------
 
-LARGE = jnp.asarray(np.random.default_rng(0).normal(size=(40, 40)))
+LARGE = jnp.asarray(np.random.default_rng(0).normal(size=(100, 100)))
 
 
 def square_of_large(a: Any) -> Any:
@@ -70,7 +70,7 @@ def test_it_warns_once_and_says_why(function: Callable[..., Any], arguments: Any
 def test_layers_of_a_network_are_left_to_xla() -> None:
     """Its products with large matrices, and hyperbolic tangents, are faster there."""
     net = tx.fast(lambda x: jnp.tanh(jnp.tanh(x @ LARGE) @ LARGE.T))
-    assert "native" not in net.explain(jnp.ones((1000, 40)))
+    assert "native" not in net.explain(jnp.ones((1000, 100)))
 
 
 def test_no_warning_where_a_part_gains_or_nothing_is_computed() -> None:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..jax_inside import ClosedJaxpr, Primitive, jaxpr_as_fun, of_one_device, spread, weakly_kept
-from .jax_primitive import Derived, Differentiable, Shapes, call_program, differentiable
+from .jax_primitive import Differentiable, Shapes, call_program, differentiable
 from .program import Rows
 
 Result = TypeVar("Result")
@@ -93,34 +93,41 @@ class ArrayProgram(Differentiable):
         return self.made(closed)
 
 
+#: From the number of members of a batch and a platform to a kernel; None: JAX runs the function.
+Kernels: TypeAlias = "Callable[[int, str], Rows | None]"
+
+
 @weakly_kept
-class BatchedByKernel(ArrayProgram):
-    """A function that JAX runs for one member, and a kernel for batches with enough operations.
+class KernelOfArrays(ArrayProgram):
+    """A function of arrays, and kernels for it where there are some.
 
     Args:
         program: the function.
-        scalars: makes the scalar program of a jaxpr, with the runner of its kernels; None: it has no native form.
+        make: makes the kernels of a jaxpr; None: it has no native form.
+        alone: whether one member alone is a kernel too.
     """
 
-    exports_kernels = False
-
-    def __init__(self, program: ClosedJaxpr, scalars: Callable[[ClosedJaxpr], Derived | None]) -> None:
+    def __init__(
+        self, program: ClosedJaxpr, make: Callable[[ClosedJaxpr], Kernels | None], *, alone: bool = False
+    ) -> None:
         super().__init__(program)
-        self._scalars = scalars
+        self._make, self._alone = make, alone
+        self.exports_kernels = alone
 
     @functools.cached_property
-    def _derived(self) -> Derived | None:
-        return self._scalars(self.program)
+    def kernels(self) -> Kernels | None:
+        """What makes its kernels; None: JAX runs it."""
+        return self._make(self.program)
 
     def primitive(self, inside: bool) -> Primitive:
         return _batched_p
 
     def kernel(self, rows: int, platform: str) -> Rows | None:
         # One member alone is not read as scalars, which takes longer than XLA takes to compile it.
-        return None if rows == 1 or self._derived is None else self._derived.kernel(rows, platform)
+        return None if (rows == 1 and not self._alone) or self.kernels is None else self.kernels(rows, platform)
 
-    def made(self, program: ClosedJaxpr) -> BatchedByKernel:
-        return BatchedByKernel(program, self._scalars)
+    def made(self, program: ClosedJaxpr) -> KernelOfArrays:
+        return KernelOfArrays(program, self._make, alone=self._alone)
 
 
 #: A function, or one that runs in parts.

@@ -19,7 +19,7 @@ from ..errors import ModelError
 from ..jax_inside import ClosedJaxpr, Jaxpr, Literal, all_equations, inner_jaxprs, is_traced, jaxpr_as_fun, spread
 from .array_primitive import on_any_mesh
 from .graph import LIMITS, Limits, TooLarge
-from .jax_primitive import Derived, call_program
+from .jax_primitive import Derived, Differentiable, call_program
 from .loops import MakeKernel, Repeated, Ring
 from .primitives.table import entry_of
 from .program import ScalarProgram, called_names
@@ -39,6 +39,8 @@ _LONGEST_CHAIN = 30_000
 #: A function with wide intermediate arrays runs as scalars if these take at most this share of the array operations,
 #: as where matrices are mostly zeros. It is tried up to this many times `largest` array operations.
 _MOSTLY, _MOST_WORK = 0.25, 10
+#: The most entries of an argument or a result of a kernel that is written out.
+_MOST_MOVED = 4096
 #: The bound of derivatives of scalar programs, which have no other form.
 ANY_SIZE = 10**9
 
@@ -51,6 +53,12 @@ class Emission:
     program: ScalarProgram | None  # that it runs; None where it runs as arrays
     reason: str  # one sentence
     few: bool = False  # whether it runs as arrays because it has few operations
+    loops: bool = False  # whether it runs as loops over arrays in a kernel
+
+    @property
+    def gains(self) -> bool:
+        """Whether it runs in another way than JAX has it."""
+        return self.loops or self.program is not None
 
 
 class StepCompiler:
@@ -75,7 +83,7 @@ class StepCompiler:
         """
         return None
 
-    def differentiable(self, step: Step, shapes: Shapes) -> Derived | None:
+    def differentiable(self, step: Step, shapes: Shapes) -> Differentiable | None:
         """A step as one program, for loops that are differentiated; None: it runs as it is."""
         return None
 
@@ -110,6 +118,10 @@ class Backend(ABC):
         Args:
             fixed: arguments that stay the same over many calls, such as parameters.
         """
+
+    def whole(self, closed: ClosedJaxpr) -> Emission | None:
+        """A function with large arrays as one kernel; None: it has no such form, or batches of it may be faster."""
+        return None
 
     def derived(self, program: ScalarProgram) -> Derived:
         """A program with its derivatives, for `call_program`."""
@@ -188,8 +200,11 @@ class XLA(Backend):
     def steps(self) -> StepCompiler:
         return _ScalarSteps(self)
 
-    def scalarised(self, closed: ClosedJaxpr, limits: Limits = LIMITS) -> ScalarProgram:
+    def scalarised(self, closed: ClosedJaxpr, limits: Limits = LIMITS, moved: bool = False) -> ScalarProgram:
         """The scalar program of a jaxpr.
+
+        Args:
+            moved: whether larger arrays may be read, put together and moved.
 
         Raises:
             TooLarge: there are more than `largest` scalars, or an array of more than `widest` entries; the result is
@@ -199,6 +214,8 @@ class XLA(Backend):
             raise TooLarge("one of the results is complex")
         ends = max((v.aval.size for v in [*closed.jaxpr.invars, *closed.jaxpr.outvars]), default=0)
         widest = max((v.aval.size for v in variables(closed.jaxpr)), default=0)
+        if moved and ends <= _MOST_MOVED and wide_share(closed.jaxpr, self.widest) <= _MOSTLY:
+            return self.scalars(closed, self.largest, limits)
         work = array_operations(closed.jaxpr).total() if ends <= self.widest < widest else 0
         if widest <= self.widest or 0 < work <= _MOST_WORK * self.largest:
             program = self.scalars(closed, self.largest, limits)
@@ -304,6 +321,16 @@ def outweighs_memory(jaxpr: Jaxpr) -> bool:
     read = {v for eqn in jaxpr.eqns for v in eqn.invars if not isinstance(v, Literal)}
     moved: list[Any] = [*(v for v in jaxpr.invars if v in read), *jaxpr.outvars]
     return short >= _LEAST_PER_NUMBER * sum(v.aval.size for v in moved)
+
+
+def wide_share(jaxpr: Jaxpr, widest: int) -> float:
+    """The share of the operations that are on arrays of more entries."""
+
+    def sizes(eqn: Any) -> list[int]:
+        return [v.aval.size for v in (*eqn.invars, *eqn.outvars)]
+
+    wide = [eqn for eqn in jaxpr.eqns if max(sizes(eqn), default=0) > widest]
+    return operations_of(wide).total() / max(array_operations(jaxpr).total(), 1)
 
 
 def variables(jaxpr: Jaxpr) -> list[Any]:

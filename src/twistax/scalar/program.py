@@ -38,6 +38,11 @@ class ScalarProgram:
     outputs: tuple[Nodes, ...]
     types: tuple[np.dtype[Any], ...]
 
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """The type of its real numbers."""
+        return self.graph.dtype
+
     @functools.cached_property
     def flat(self) -> list[int]:
         """The nodes of all results, one after the other."""

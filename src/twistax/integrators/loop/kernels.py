@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from ...scalar.jax_primitive import Derived, call_program
+from ...scalar.jax_primitive import Derived, Differentiable, call_program
 from ...scalar.loops import Filling, Repeated, repeat
 from ...scalar.small_call import inside_small_call, small_call
 from ..charts.coordinates import Blocks
@@ -240,7 +240,7 @@ def advance_again(stepper: Stepper, t: jax.Array, y: Blocks, h: jax.Array) -> Bl
         stepper, t, y, h = jax.tree.unflatten(structure, leaves)
         return jax.tree.leaves(stepper.in_arrays.advance(t, y, h))
 
-    program: Derived | None = _made(
+    program: Differentiable | None = _made(
         stepper,
         y,
         (advance_again, structure, types),

@@ -17,6 +17,8 @@ _CALLS = {"jit": "jaxpr", "remat2": "jaxpr", "custom_jvp_call": "call_jaxpr", "c
 
 def inlined(program: ClosedJaxpr) -> ClosedJaxpr:
     """The same function with called functions written out. Derivatives of their own are lost."""
+    if all(_called(eqn)[0] is None for eqn in program.jaxpr.eqns):
+        return program
     avals: list[Any] = [v.aval for v in program.jaxpr.invars]
     shapes = (jax.ShapeDtypeStruct(a.shape, a.dtype) for a in avals)
     return jax.make_jaxpr(functools.partial(_evaluate, program))(*shapes)

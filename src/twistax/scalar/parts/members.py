@@ -17,7 +17,7 @@ from .inlining import inlined, value_of
 from .member_rules import RULES, Axes, Mixed, Rule, length_of, of_length_one
 
 #: Operations of all members with an array of more entries, as a product with a large matrix, are left to XLA.
-_MOST_SHARED = 128
+_MOST_SHARED = 1024
 
 
 class OneMember(NamedTuple):

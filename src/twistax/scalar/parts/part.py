@@ -36,7 +36,7 @@ class Reason(NamedTuple):
 
 
 def reason_of(emission: Emission) -> Reason:
-    return Reason(emission.reason, emission.program is not None)
+    return Reason(emission.reason, emission.gains)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -23,7 +23,7 @@ from ...jax_inside import (
     weakly_kept,
 )
 from ..array_primitive import ArrayProgram
-from ..backends import Backend, array_operations, operations_of, outweighs_memory, variables
+from ..backends import Backend, Emission, array_operations, operations_of, outweighs_memory, variables
 from ..loops import Looped, Ring, loop
 from ..primitives.table import say_unread
 from ..program import Batch
@@ -36,6 +36,8 @@ from .part import Constants, Part, Reason, is_loop, read_by, reason_of
 _MOST_AT_ONCE = 10**8
 #: Batches of fewer members are unrolled, or stay arrays.
 _FEWEST = 4
+#: Batches of more members are no rows of matrices.
+_MOST_ROWS = 64
 #: Programs of more operations take long to compile as scalars. They are batches of at least so many entries of arrays
 #: where nearly all operations are entry by entry.
 _LONG, _FEWEST_OF_LONG, _MOST_OF_LONG = 5000, 8, 0.95
@@ -74,15 +76,20 @@ class Segmented(ArrayProgram):
 def has_parts(program: ClosedJaxpr, backend: Backend) -> bool:
     """Whether a function has loops that are not unrolled, or batches."""
     program = inlined(program)
-    return any(map(is_loop, program.jaxpr.eqns)) or _batch(program, backend) is not None
+    if any(map(is_loop, program.jaxpr.eqns)):
+        return True
+    batch = _batch(program, backend)
+    return batch is not None and _instead(program, backend, batch) is None
 
 
 def emit_segments(program: ClosedJaxpr, backend: Backend) -> tuple[Callable[..., list[jax.Array]], list[Reason]]:
     """The function that runs a jaxpr, and a reason for each of its parts."""
     program = inlined(program)
-    jaxpr, batch = program.jaxpr, _batch(program, backend)
-    if batch is None and not any(map(is_loop, jaxpr.eqns)):
-        emission = backend.emit(program)
+    jaxpr, has_loops, batch = program.jaxpr, any(map(is_loop, program.jaxpr.eqns)), _batch(program, backend)
+    emission = None
+    if not has_loops:
+        emission = backend.emit(program) if batch is None else _instead(program, backend, batch)
+    if emission is not None:
         return emission.function, [reason_of(emission)]
     parts = _parts(program, backend, batch)
 
@@ -163,6 +170,11 @@ def _batch(program: ClosedJaxpr, backend: Backend) -> BatchEquations | None:
         if work > most:
             best, most = batch, work
     return best if backend.least is not None and most >= backend.least else None
+
+
+def _instead(program: ClosedJaxpr, backend: Backend, batch: BatchEquations) -> Emission | None:
+    """What runs in place of a batch: its members may be the rows of matrices."""
+    return backend.whole(program) if batch.size <= _MOST_ROWS else None
 
 
 def _suits_batches(member: ClosedJaxpr, size: int, backend: Backend) -> bool:
@@ -283,6 +295,9 @@ def _loop(constants: Constants, eqn: Any, backend: Backend) -> Part:
         looped = Looped(by_jax, results, kernel)
         reason = Reason(f"{name}: all iterations in one kernel", True)
         return Part(inputs, eqn.outvars, lambda *values: loop(looped, ring.length or -1, arguments(values)), [reason])
+    program = constants.close([eqn], eqn.outvars)
+    if ring.length is not None and not around and (emission := backend.whole(program)) is not None:
+        return Part(program.jaxpr.invars, eqn.outvars, emission.function, [reason_of(emission).within(name)])
     small = known_inside(inside.jaxpr)  # as one small function a loop gains in any case
     if ring.length is None:
         ends_together = closed(eqn.params["cond_jaxpr"]).jaxpr.outvars[0].aval.size == 1

@@ -7,7 +7,6 @@ import dataclasses
 import functools
 import importlib.metadata
 import importlib.util
-import math
 import time
 import weakref
 from abc import ABC, abstractmethod
@@ -20,24 +19,36 @@ from ....checks import instance, whole
 from ....errors import ModelError
 from ....jax_inside import ClosedJaxpr, backends
 from ....progress import say_once
-from ...array_primitive import BatchedByKernel
-from ...backends import ANY_SIZE, XLA, Backend, Emission, Shapes, Step, StepCompiler, is_pure, outweighs_memory, pure
+from ...array_primitive import KernelOfArrays, Kernels
+from ...backends import (
+    ANY_SIZE,
+    XLA,
+    Backend,
+    Emission,
+    Shapes,
+    Step,
+    StepCompiler,
+    array_operations,
+    is_pure,
+    outweighs_memory,
+    pure,
+    variables,
+)
 from ...graph import TooLarge
 from ...jax_primitive import Derived, call_program
-from ...loops import MakeKernel, Repeated, Ring
 from ...program import Rows, ScalarProgram
 from ...small_call import joins_program
 from ...walk import uncollected
 from ..cuda.driver import driver
 from ..cuda.kernel import CudaKernel
 from ..cuda.ptx import libdevice
+from .arrays.body import ArrayBody, array_form
 from .code import NotNative
-from .iterations import Iterations
 from .kernel import HostKernel, Kernel
-from .kernel_body import NATIVE_LIMITS, KernelBody, Straight, native_form
-from .loop import LoopBody
-from .machine_code import BuildError, Processor
+from .kernel_body import KernelBody, Straight, native_form
+from .machine_code import BuildError, Processor, installed
 from .self_test import check_kernel
+from .step_kernels import KernelSteps
 
 #: An event of `jax.monitoring` for each kernel, with the seconds to make it or to read it from the cache.
 KERNEL_EVENT = "/twistax/kernel"
@@ -66,7 +77,7 @@ class Target(ABC):
 
     @abstractmethod
     def kernel(
-        self, kind: type[KernelBody], form: ScalarProgram, more: tuple[Any, ...], single: bool, threads: int | None
+        self, kind: type[KernelBody], form: Any, more: tuple[Any, ...], single: bool, threads: int | None
     ) -> Kernel:
         """The kernel of a kernel body.
 
@@ -86,10 +97,10 @@ class Host(Target):
     present, note = True, ""
 
     def kernel(
-        self, kind: type[KernelBody], form: ScalarProgram, more: tuple[Any, ...], single: bool, threads: int | None
+        self, kind: type[KernelBody], form: Any, more: tuple[Any, ...], single: bool, threads: int | None
     ) -> Kernel:
         processor = Processor.host()
-        return HostKernel(kind(form, 1 if single else processor.lanes(form.graph.dtype), *more), processor, threads)
+        return HostKernel(kind(form, 1 if single else processor.lanes(form.dtype), *more), processor, threads)
 
 
 class Cuda(Target):
@@ -109,7 +120,7 @@ class Cuda(Target):
         return f"in threads on CUDA devices of capability {major}.{minor}{rest}"
 
     def kernel(
-        self, kind: type[KernelBody], form: ScalarProgram, more: tuple[Any, ...], single: bool, threads: int | None
+        self, kind: type[KernelBody], form: Any, more: tuple[Any, ...], single: bool, threads: int | None
     ) -> Kernel:
         return CudaKernel(kind(form, 1, *more))
 
@@ -118,21 +129,12 @@ class Cuda(Target):
 TARGETS: Mapping[str, Target] = {"cpu": Host(), "cuda": Cuda()}
 
 
-def on_all_platforms() -> bool:
-    """Whether kernels can be made for all platforms of this process."""
-    return all(name in TARGETS for name in backends())
-
-
 def notes() -> str:
     """How native programs run on the devices of this process."""
     return "".join(f"; {target.note}" for target in TARGETS.values() if target.present and target.note)
 
 
 # ---- backends --------------------------------------------------------------------------------------------------------
-
-
-def installed() -> bool:
-    return importlib.util.find_spec("llvmlite") is not None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -168,11 +170,28 @@ class KernelRunner:
         try:
             native_form(_XLA.scalarised(closed))
         except (NotNative, TooLarge) as error:
-            return str(error).splitlines()[0]
+            return None if self.arrays(closed, False) else str(error).splitlines()[0]
         return None
 
+    def arrays(self, closed: ClosedJaxpr, checked: bool) -> KernelOfArrays | None:
+        """A function of matrices with kernels that loop over their entries; None where it has no such form."""
+
+        def kernels(closed: ClosedJaxpr) -> Kernels | None:
+            try:
+                form = array_form(closed, checked)
+            except (NotNative, TooLarge):
+                return None
+            operations = array_operations(closed.jaxpr).total()
+            made = functools.lru_cache(lambda single: self.built(ArrayBody, form, (), single, "cpu"))
+            return lambda rows, platform: (
+                made(rows == 1) if platform == "cpu" and operations * rows >= self.least else None
+            )
+
+        program = KernelOfArrays(closed, kernels, alone=True)
+        return None if program.kernels is None else program
+
     def built(
-        self, kind: type[KernelBody], form: ScalarProgram, more: tuple[Any, ...], single: bool, platform: str
+        self, kind: type[KernelBody], form: Any, more: tuple[Any, ...], single: bool, platform: str
     ) -> Kernel | None:
         """A kernel that passed the self-test; None, with a warning, if there is none."""
         started, target = time.perf_counter(), TARGETS[platform]
@@ -224,11 +243,25 @@ class Native(Backend):
         return f"{super().__str__()} ({with_it})"
 
     def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
+        if (emission := self.whole(closed)) is not None:
+            return emission
         try:
             program = self.scalars.scalarised(closed)
         except TooLarge:
             return self.scalars.emit(closed, fixed)
         return self._native(program, lambda: self.scalars.emit(closed, fixed))
+
+    def whole(self, closed: ClosedJaxpr) -> Emission | None:
+        widest = max((v.aval.size for v in variables(closed.jaxpr)), default=0)
+        if widest <= self.widest or not installed() or not is_pure(closed):
+            return None
+        with contextlib.suppress(TooLarge, NotNative):
+            return self._native(self.scalars.scalarised(closed, moved=True), _not_native)
+        program = self.runner.arrays(closed, self.scalars.checked)
+        if program is None:
+            return None
+        reason = f"native: loops over arrays, {array_operations(closed.jaxpr).total():,} operations"
+        return Emission(lambda *a: call_program(program, *a), None, reason, loops=True)
 
     def derived(self, program: ScalarProgram) -> Derived:
         return self._kernels(program)[0] or Derived(program)
@@ -237,7 +270,7 @@ class Native(Backend):
         return _InLoops(self.scalars, self.threads, self.least)
 
     def steps(self) -> StepCompiler:
-        return _KernelSteps(self.scalars, self.runner)
+        return KernelSteps(self.scalars, self.runner)
 
     @property
     def widest(self) -> int:  # type: ignore[override]
@@ -276,12 +309,18 @@ class Native(Backend):
         say_once("tx.Native needs llvmlite: pip install 'twistax[native]'; XLA compiles these functions instead")
 
 
+def _not_native() -> Emission:
+    raise NotNative
+
+
 @dataclasses.dataclass(frozen=True)
 class _InLoops(Native):
     """The backend inside loops: `scalars`, and kernels for programs that take XLA long to compile."""
 
     def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
         emission = self.scalars.emit(closed, fixed)
+        if emission.program is None and not emission.few:
+            return self.whole(closed) or emission
         if emission.program is None or emission.program.operations < _LONG or not installed():
             return emission
         return self._native(emission.program, lambda: emission)
@@ -309,88 +348,25 @@ class Auto(Native):
         emission = self.scalars.emit(closed, fixed)
         if not installed():
             return emission
+        if emission.program is None and not emission.few:
+            return self.whole(closed) or emission
         if emission.program is None:
-            return self._in_batches(closed, emission) if emission.few and is_pure(closed) else emission
+            return self._in_batches(closed, emission) if is_pure(closed) else emission
         return self._native(emission.program, lambda: emission)
 
     def _in_batches(self, closed: ClosedJaxpr, emission: Emission) -> Emission:
         """A function that runs as it is written alone, and as a kernel in batches."""
 
-        def scalars(closed: ClosedJaxpr) -> Derived | None:
+        def scalars(closed: ClosedJaxpr) -> Kernels | None:
             with contextlib.suppress(TooLarge):
-                return self._kernels(self.scalars.scalarised(closed))[0] if outweighs_memory(closed.jaxpr) else None
+                derived = self._kernels(self.scalars.scalarised(closed))[0] if outweighs_memory(closed.jaxpr) else None
+                return None if derived is None else derived.kernel
             return None
 
-        program = BatchedByKernel(closed, scalars)
+        program = KernelOfArrays(closed, scalars)
         function = lambda *a: emission.function(*a) if joins_program() else call_program(program, *a)  # noqa: E731
         reason = f"{emission.reason}; batches of {self.least:,} operations and more are kernels"
         return dataclasses.replace(emission, function=function, reason=reason)
 
     def _say_missing(self) -> None:
         """No warning: the user did not ask for llvmlite."""
-
-
-@dataclasses.dataclass(frozen=True)
-class _KernelSteps(StepCompiler):
-    """Steps as kernels, and as scalars where they have no native form."""
-
-    scalars: XLA
-    runner: KernelRunner
-
-    def repeated(self, step: Step, shapes: Shapes, state: int, row: Step | None = None) -> Repeated | None:
-        program = self._whole_step(step, shapes)
-        if program is None:
-            return None
-        record = program.restricted(program.outputs[state + 1 :])
-        form, row_form = native_form(program), None
-        if record.outputs and row is not None:
-            outputs = zip(record.outputs, record.types, strict=True)
-            shapes_of_record = [jax.ShapeDtypeStruct(array.shape, dtype) for array, dtype in outputs]
-            row_program = self._whole_step(row, [*shapes_of_record, shapes_of_record[0]])
-            if row_program is None:
-                return None
-            row_form = native_form(row_program)
-        return Repeated(
-            form, state, functools.partial(self.runner.built, Iterations, form, (state, row_form)), row_form
-        )
-
-    def looped(self, step: Step, shapes: Shapes, ring: Ring) -> MakeKernel | None:
-        if max((math.prod(array.shape) for array in shapes), default=0) > self.scalars.widest:
-            return None
-        program = self._whole_step(step, shapes)
-        if program is None:
-            return None
-        form = native_form(program)
-
-        def kernel(single: bool, platform: str) -> Rows | None:
-            rows = self.runner.built(LoopBody, form, (ring,), single, platform)
-            return None if rows is None else functools.partial(rows, length=ring.length or 0)
-
-        return kernel
-
-    def differentiable(self, step: Step, shapes: Shapes) -> Derived | None:
-        program = self._whole_step(step, shapes)
-        if program is None:
-            return self.scalars.steps().differentiable(step, shapes)
-        program.graph.largest = ANY_SIZE
-        return Derived(program, None, self.runner)
-
-    def shared(self, function: Step, shapes: Shapes) -> Derived | None:
-        program = self._whole_step(function, shapes)
-        return None if program is None else Derived(program, None, dataclasses.replace(self.runner, least=0))
-
-    def _whole_step(self, step: Step, shapes: Shapes) -> ScalarProgram | None:
-        """The program of a step that has a native form, all stages unrolled; None: it has none, or no kernels run."""
-        # Without kernels an unrolled step takes long to compile and runs no faster.
-        if not installed() or not on_all_platforms():
-            return None
-        closed = pure(step, shapes)
-        if closed is None:
-            return None
-        try:
-            # A step contains more than the evaluation of its rates.
-            program = self.scalars.scalars(closed, 4 * self.scalars.largest // 3, NATIVE_LIMITS)
-            native_form(program)
-        except (NotNative, TooLarge):
-            return None
-        return program

@@ -178,7 +178,7 @@ class KernelBody(BatchFunction):
     """The function of a scalar program in a kernel.
 
     Attributes:
-        program: from `native_form`.
+        program: from `native_form`, or a function of matrices in its form.
         tried: the length that long arrays have where the function is checked.
         packed: the bits of vectors into which LLVM is to put operations of one member; 0: it is not.
     """
@@ -186,7 +186,7 @@ class KernelBody(BatchFunction):
     tried, packed = 0, 0
 
     def __init__(
-        self, program: ScalarProgram, lanes: int, arguments: list[Array], results: list[Array], needed: set[int]
+        self, program: Any, lanes: int, arguments: list[Array], results: list[Array], needed: set[int]
     ) -> None:
         super().__init__(lanes, arguments, results, needed)
         self.program = program

@@ -60,13 +60,13 @@ class Rows:
         self._array = array
         # Blocks of entries move as vectors only if a row has a full block, or masks are free.
         self._blocks = array.kind in ("double", "float") and (array.size >= code.lanes or code.module.processor.masks)
-        self._pointers = list(pointers)
+        self.pointers = list(pointers)
         self._align, self._entry_stride = array.dtype.itemsize, entry_stride
         self._read: dict[int, str] = {}
 
     def window(self, starts: Sequence[str], array: Array) -> Rows:
         """Part of each row: an array from an entry on, for each lane, that is known only at run time."""
-        pointers = [self._moved(p, start) for p, start in zip(self._pointers, starts, strict=True)]
+        pointers = [self._moved(p, start) for p, start in zip(self.pointers, starts, strict=True)]
         return Rows(self._code, array, pointers, self._entry_stride)
 
     def read(self, entry: int) -> str:
@@ -145,7 +145,7 @@ class Rows:
             code.lines.append(f"store {array.stored} {one}, ptr {place}, align {self._align}")
 
     def _at(self, entry: int) -> list[str]:
-        return [self._moved(p, str(entry)) for p in self._pointers]
+        return [self._moved(p, str(entry)) for p in self.pointers]
 
     def _moved(self, pointer: str, entries: str) -> str:
         place = (

@@ -6,6 +6,7 @@ import contextlib
 import ctypes
 import ctypes.util
 import dataclasses
+import importlib.util
 import threading
 from collections.abc import Collection, Iterator, Mapping
 from types import MappingProxyType
@@ -97,6 +98,11 @@ class MachineCode:
 #: In the code model of LLVM's JIT code and constants may lie anywhere. The small one wants them within 2 GB of each
 #: other, and LLVM ends the process where they are not: in one that has run for long free memory is farther apart.
 _OPTIONS: dict[str, Any] = {"reloc": "pic", "codemodel": "jitdefault", "jit": True}
+
+
+def installed() -> bool:
+    """Whether llvmlite is, which compiles kernels."""
+    return importlib.util.find_spec("llvmlite") is not None
 
 
 def written_by(processor: Processor) -> str:

@@ -92,5 +92,5 @@ def _agree(values: NDArray[Any], expected: NDArray[Any], nearby: Sequence[NDArra
     size = np.max(np.abs(expected[finite]), initial=_LEAST) * _TOLERANCE[values.dtype]
     moved = np.max([np.abs(near[finite] - expected[finite]) for near in nearby], axis=0)
     values, expected = values[finite], expected[finite]
-    with np.errstate(invalid="ignore"):  # what is infinite where it should not be does not agree
+    with np.errstate(invalid="ignore", over="ignore"):  # what is infinite where it should not be does not agree
         return bool(np.mean(np.abs(values - expected) <= size + 1e3 * moved) >= 0.9)
