@@ -212,27 +212,28 @@ class Filter(ABC):
             ts, post.x, post.P, prior.x, prior.P, prior.transition, information, innovations, total, self.model.group
         )
 
+    def scanned(
+        self, ts: Any, hs: Any, values: Any, present: Any, controls: Any, x0: Any, P0: Any, params: Any
+    ) -> tuple[Prediction, Estimate, dict[str, Update]]:
+        """The predictions, estimates and updates at all times, from the arguments of a run. They are prepared."""
+
+        def advance(carry: Estimate, row: Any) -> tuple[Estimate, Any]:
+            t, h, z, seen, u = row
+            before = OperatingPoint(t - h, carry.x, u, params)
+            prior = self.propagated(before, carry.P, h)
+            x, P, updates = prior.x, prior.P, {}
+            for name in z:
+                update = functools.partial(self._if_present, name, OperatingPoint(t, x, u, params), P, z[name])
+                updates[name] = update(seen[name])
+                x, P = updates[name].x, updates[name].P
+            prior = prior._replace(P=self.multiplied(prior.P))
+            return Estimate(x, P), (prior, Estimate(x, self.multiplied(P)), updates)
+
+        return jax.lax.scan(advance, Estimate(x0, self.factored(P0)), (ts, hs, values, present, controls))[1]
+
     @functools.cached_property
     def _scan(self) -> Callable[..., Any]:
-        def scan(
-            ts: Any, hs: Any, values: Any, present: Any, controls: Any, x0: Any, P0: Any, params: Any
-        ) -> tuple[Prediction, Estimate, dict[str, Update]]:
-            def advance(carry: Estimate, row: Any) -> tuple[Estimate, Any]:
-                t, h, z, seen, u = row
-                before = OperatingPoint(t - h, carry.x, u, params)
-                prior = self.propagated(before, carry.P, h)
-                x, P, updates = prior.x, prior.P, {}
-                for name in z:
-                    update = functools.partial(self._if_present, name, OperatingPoint(t, x, u, params), P, z[name])
-                    updates[name] = update(seen[name])
-                    x, P = updates[name].x, updates[name].P
-                prior = prior._replace(P=self.multiplied(prior.P))
-                return Estimate(x, P), (prior, Estimate(x, self.multiplied(P)), updates)
-
-            rows = (ts, hs, values, present, controls)
-            return jax.lax.scan(advance, Estimate(x0, self.factored(P0)), rows)[1]
-
-        jitted = jax.jit(scan)
+        jitted = jax.jit(self.scanned)
 
         def run(stages: RunStages) -> Any:
             timeline, ts, hs, controls, x0, P0, params = stages
