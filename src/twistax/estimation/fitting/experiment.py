@@ -27,7 +27,9 @@ class Experiment:
         records: by measurement (times (k,), values (k, *shape)), as of a filter's run; a row with a NaN is missing.
         x0: the state at t0, or a guess of it, by name.
         P0: the covariance of that guess in the tangent space: a number, (n,) or (n, n); 0 where the start is known.
-            Without one the start is unknown, and x0 is where the search for it begins.
+            Without one the start is unknown, and x0 is where the search for it begins. With noise in the rates the
+            filter begins with P0; give it one where a covariance of a measurement is free, for a start that fits the
+            first measurement without error makes a covariance of zero most likely.
         t0: s; the first time of the records if left out.
         u: controls, as of a filter's run.
         guess: states by name at times of their own, (times (k,), {name: (k, *shape)}), where a search with several
@@ -56,9 +58,11 @@ class RecordRows(NamedTuple):
 
 
 class StartEstimate(NamedTuple):
-    """The state at the start, the information (n, n) on it, and which entries of its tangent (n,) are unknown."""
+    """The state at the start, its covariance in the filter (n, n), the information (n, n) on it as an unknown, and which
+    entries of its tangent (n,) are unknown."""
 
     x: Arrays
+    P0: jax.Array
     information: jax.Array
     unknown: jax.Array
 
@@ -96,7 +100,7 @@ def segmented(
         P0 = 0.0 if one.P0 is None else one.P0
         stages = kalman.staged(one.records, one.x0, P0, one.t0, one.u, params, ())
         staged.append(stages)
-        starts.append(_start(stages, one.P0 is None))
+        starts.append(_start(stages, one.P0 is None, bool(kalman.model.process)))
     count = max(len(stages.ts) for stages in staged)
     n = kalman.model.dimension
     if segments is None:
@@ -113,14 +117,16 @@ def segmented(
 _SEGMENTS = 12
 
 
-def _start(stages: RunStages, is_free: bool) -> StartEstimate:
-    n = len(stages.P0)
+def _start(stages: RunStages, is_free: bool, with_filter: bool) -> StartEstimate:
+    n, nothing = len(stages.P0), jnp.zeros_like(stages.P0)
     if is_free:
-        return StartEstimate(stages.x0, jnp.zeros_like(stages.P0), jnp.ones(n, bool))
+        return StartEstimate(stages.x0, nothing, nothing, jnp.ones(n, bool))
+    if with_filter:
+        return StartEstimate(stages.x0, stages.P0, nothing, jnp.zeros(n, bool))
     unknown = jnp.diag(stages.P0) > 0.0
     both = unknown[:, None] & unknown[None, :]
     inverse = jnp.linalg.inv(jnp.where(both, stages.P0, jnp.eye(n, dtype=stages.P0.dtype)))
-    return StartEstimate(stages.x0, jnp.where(both, inverse, 0.0), unknown)
+    return StartEstimate(stages.x0, nothing, jnp.where(both, inverse, 0.0), unknown)
 
 
 def _rows(kalman: ErrorStateKalman, stages: RunStages, segments: int, length: int) -> RecordRows:

@@ -45,7 +45,7 @@ class MaximumLikelihood:
 
     With noise in the rates e and its covariance S are the innovations of `ErrorStateKalman`, the filter error method.
     So densities and covariances may be free parameters too. Starts of experiments are unknown as well, each with a
-    covariance of its own or none.
+    covariance or none; with noise in the rates a start with a covariance is that of the filter.
 
     The record of an experiment is cut into segments. First the start of each segment is fitted to its measurements,
     with the parameters as they are. Then Gauss-Newton steps move parameters and starts at once, and close the gaps

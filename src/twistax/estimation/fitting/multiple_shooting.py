@@ -75,7 +75,7 @@ class MultipleShooting:
         """The negative logarithm of the posterior density, and the sum of weighted gaps."""
 
         def one(starts: Arrays, rows: Any, start: StartEstimate) -> Any:
-            evaluate = lambda x, row: self.segments.likelihood(x, unknowns.theta, row, data.params)  # noqa: E731
+            evaluate = lambda x, row: self.segments.likelihood(x, unknowns.theta, row, data.params, start.P0)  # noqa: E731
             ends, likelihoods = jax.vmap(evaluate)(starts, rows)
             gap = jax.vmap(lambda end, following: self.group.difference(following, end))(ends, _following(starts, ends))
             _, e = _start_residual(self.group, start, _first(starts))
@@ -93,7 +93,7 @@ class MultipleShooting:
         count = len(data.starts.unknown)
 
         def one(starts: Arrays, rows: Any, start: StartEstimate) -> Any:
-            evaluate = lambda x, row: self.segments.linearized(x, theta, row, data.params)  # noqa: E731
+            evaluate = lambda x, row: self.segments.linearized(x, theta, row, data.params, start.P0)  # noqa: E731
             segments = jax.vmap(evaluate)(starts, rows)
             following = _following(starts, segments.end)
             gaps = jax.vmap(lambda end, x: gap_and_slopes(self.group, end, x))(segments.end, following)

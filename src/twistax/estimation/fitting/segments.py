@@ -57,7 +57,7 @@ class Segments:
 
     Without noise in the rates a segment is simulated from its start, the covariance S of a residual e is that of the
     measurement, and the estimate is that of the output error method. With noise e and S are the innovations of the
-    error-state filter from a start without error: the filter error method.
+    error-state filter: the filter error method.
 
     Source: Maine, Iliff, Identification of dynamic systems, NASA RP-1138 (1985), sec. 7 and 8.
     """
@@ -76,15 +76,15 @@ class Segments:
         return any(leaf.name in self.free or leaf.name in states for leaf in leaves)
 
     def simulated(
-        self, x: Arrays, theta: jax.Array, rows: RecordRows, params: Arrays
+        self, x: Arrays, theta: jax.Array, rows: RecordRows, params: Arrays, P0: jax.Array | None = None
     ) -> tuple[Arrays, dict[str, Innovation]]:
-        """The end of a segment and its innovations."""
+        """The end of a segment and its innovations. P0 is the covariance of a filter at its start, zero if left out."""
         free = {name: theta[part].reshape(shape) for name, (part, shape) in self.free.items()}
         values = {**params, **free}
         if self.model.process:
             n = self.model.dimension
-            nothing = jnp.zeros((n, n), theta.dtype)
-            _, post, updates = self.kalman.scanned(*rows[:2], *rows[3:], rows.controls, x, nothing, values)
+            start = jnp.zeros((n, n), theta.dtype) if P0 is None else P0
+            _, post, updates = self.kalman.scanned(*rows[:2], *rows[3:], rows.controls, x, start, values)
             end = {name: states[-1] for name, states in post.x.items()}
             sensed = {name: (update.residual, update.S) for name, update in updates.items()}
         else:
@@ -106,17 +106,21 @@ class Segments:
             jnp.where(present[:, None], residual, 0.0), jnp.where(present[:, None, None], S, one), present
         )
 
-    def likelihood(self, x: Arrays, theta: jax.Array, rows: RecordRows, params: Arrays) -> tuple[Arrays, Likelihood]:
+    def likelihood(
+        self, x: Arrays, theta: jax.Array, rows: RecordRows, params: Arrays, P0: jax.Array | None = None
+    ) -> tuple[Arrays, Likelihood]:
         """The end of a segment and the likelihood of its measurements."""
-        end, sensed = self.simulated(x, theta, rows, params)
+        end, sensed = self.simulated(x, theta, rows, params, P0)
         return end, _summed([_likelihood(one) for one in sensed.values()])
 
-    def linearized(self, x: Arrays, theta: jax.Array, rows: RecordRows, params: Arrays) -> LinearizedSegment:
+    def linearized(
+        self, x: Arrays, theta: jax.Array, rows: RecordRows, params: Arrays, P0: jax.Array | None = None
+    ) -> LinearizedSegment:
         """A segment and the derivatives of its likelihood."""
         group, n = self.model.group, self.model.dimension
 
         def moved(z: jax.Array) -> Any:
-            end, sensed = self.simulated(group.retract(x, z[:n]), theta + z[n:], rows, params)
+            end, sensed = self.simulated(group.retract(x, z[:n]), theta + z[n:], rows, params, P0)
             fixed = jax.tree.map(jax.lax.stop_gradient, end)
             slopes = {name: one[:2] if self.varying[name] else one[:1] for name, one in sensed.items()}
             return (group.difference(fixed, end), slopes), (end, sensed)
