@@ -14,11 +14,13 @@ import numpy as np
 from ..checks import listed, number, real_array, reals
 from ..errors import InputError, ModelError, ShapeError
 from ..jax_inside import is_traced
+from ..linear.labels import labels, tangent_shapes
 from ..progress import watching
 from ..system.dynamics import Arrays, Dynamics
 from ..system.inputs import Values, precision
 from .filter_run import FilterRun, Innovations
 from .measurement import Measurement, check_definite
+from .observability import observability
 from .process_noise import NoiseDiscretization
 from .records import Records, Timeline, controls_on, jumps_of, timeline_of
 from .stochastic_model import OperatingPoint, StochasticModel
@@ -172,6 +174,57 @@ class Filter(ABC):
         if not is_traced(traced):
             run.check()
         return run
+
+    def explain(
+        self,
+        times: Mapping[str, Any],
+        x0: Values,
+        *,
+        t0: float | None = None,
+        u: Mapping[str, Any] | Callable[[Any], Mapping[str, Any]] | None = None,
+        params: Values | None = None,
+    ) -> str:
+        """Which states measurements at some times would tell: the observability of the system along a motion, as text.
+
+        The Gramian is that of the motion from x0 without noise, so its rank is that of the system, before there is any
+        data. `FilterRun.observability` has that of a run.
+
+        Args:
+            times: by measurement, (k,) in s.
+            x0, t0, u, params: as of `run`.
+        Raises: InputError, ShapeError: as `run`.
+        """
+        one = {name: m.group.identity(float) for name, m in self.model.measurements.items()}
+        records = {
+            name: (ts, np.broadcast_to(one[name], (np.size(ts), *one[name].shape)) if name in one else np.zeros(0))
+            for name, ts in times.items()
+        }
+        stages = self.staged(records, x0, 0.0, t0, u, params, ())
+        transitions, information = self._along(stages)
+        names = labels(tangent_shapes(self.model.group))
+        limit = 100.0 * len(names) * float(jnp.finfo(transitions.dtype).eps)
+        return str(observability(np.asarray(transitions, float), np.asarray(information, float), names, limit))
+
+    @functools.cached_property
+    def _along(self) -> Callable[[RunStages], tuple[jax.Array, jax.Array]]:
+        """The transition matrices and the information of measurements along the motion of the mean."""
+
+        def along(ts: Any, hs: Any, present: Any, controls: Any, x0: Any, params: Any) -> Any:
+            def advance(x: Arrays, row: Any) -> tuple[Arrays, Any]:
+                t, h, seen, u = row
+                x, transition, _ = self.model.step(OperatingPoint(t - h, x, u, params), h)
+                information = jnp.zeros_like(transition)
+                for name in seen:
+                    _, H, R = self.model.sensitivity(name, OperatingPoint(t, x, u, params))
+                    information = information + jnp.where(seen[name], H.T @ jnp.linalg.solve(R, H), 0.0)
+                return x, (transition, information)
+
+            return jax.lax.scan(advance, x0, (ts, hs, present, controls))[1]
+
+        jitted = jax.jit(along)
+        return lambda stages: jitted(
+            stages.ts, stages.hs, stages.timeline.present, stages.controls, stages.x0, stages.params
+        )
 
     def staged(
         self, records: Records, x0: Values, P0: Any, t0: Any, u: Any, params: Values | None, save_at: Any
