@@ -317,7 +317,11 @@ class Filter(ABC):
         def update(name: str, point: OperatingPoint, P: jax.Array, z: jax.Array) -> Update:
             known = jnp.isfinite(z).all()
             safe = jnp.where(known, z, self.model.measurements[name].group.identity(z.dtype))
-            update = self._if_present(name, point, self.factored(P), safe, known)
+            # Selected, not branched: so a batch of filters can be one kernel.
+            factor = self.factored(P)
+            update = self.corrected(name, point, factor, safe, self.limits[name])
+            skipped = jax.tree.map(jnp.zeros_like, update)._replace(x=point.x, P=factor)
+            update = jax.tree.map(lambda a, b: jnp.where(known, a, b), update, skipped)
             return update._replace(P=self.multiplied(update.P))
 
         return jax.jit(update, static_argnums=0)
