@@ -106,8 +106,8 @@ __all__ = [
     "OperationError", "Order", "OrderError", "ParameterTree", "Phase", "PhasedSolution", "PiecewisePolynomial",
     "Point", "Product", "Result", "ShapeError", "Simulator", "Solution", "Splitting", "Statistics", "StepControl",
     "Sweep", "System", "TrajectoryError", "Trim", "Twist", "TwistaxError", "Wrench", "ZeroOrderHold", "charts",
-    "columns", "compile", "compositions", "diffrax", "estimation", "fast", "fit", "integrate", "integrate_phases", "join",
-    "kinds", "lie", "linalg", "load", "lower", "mechanics", "pose", "repeat", "simulator", "spatial", "sweep",
+    "columns", "compile", "compositions", "diffrax", "estimation", "fast", "fit", "integrate", "integrate_phases",
+    "join", "kinds", "lie", "linalg", "load", "lower", "mechanics", "pose", "repeat", "simulator", "spatial", "sweep",
     "tableaus", "tables", "tangent_grad", "testing", "trajectory", "trim", "units", "view",
 ]
 # fmt: on

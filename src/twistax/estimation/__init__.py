@@ -22,10 +22,11 @@ from .update import Update
 
 # fmt: off
 __all__ = [
-    "AllanVariance", "BatchEstimate", "BatchSmoother", "CauchyLoss", "Combination", "Consistency", "ErrorStateKalman", "Estimate", "Experiment",
-    "Filter", "FilterRun", "FixedLagSmoother", "GroupAffinity", "HuberLoss", "InertialState", "Innovations",
-    "Invariance", "InvariantKalman", "MaximumLikelihood", "NoiseDiscretization", "Observability", "ParameterEstimate", "Prediction", "PreintegratedImu",
-    "Preintegration", "RauchTungStriebel", "RobustLoss", "Smoothed", "SquareRootKalman", "Trapezoidal",
-    "UnscentedKalman", "Update", "VanLoan", "Verdict", "allan", "consistency", "group_affinity",
+    "AllanVariance", "BatchEstimate", "BatchSmoother", "CauchyLoss", "Combination", "Consistency", "ErrorStateKalman",
+    "Estimate", "Experiment", "Filter", "FilterRun", "FixedLagSmoother", "GroupAffinity", "HuberLoss",
+    "InertialState", "Innovations", "Invariance", "InvariantKalman", "MaximumLikelihood", "NoiseDiscretization",
+    "Observability", "ParameterEstimate", "Prediction", "PreintegratedImu", "Preintegration", "RauchTungStriebel",
+    "RobustLoss", "Smoothed", "SquareRootKalman", "Trapezoidal", "UnscentedKalman", "Update", "VanLoan", "Verdict",
+    "allan", "consistency", "group_affinity",
 ]
 # fmt: on

@@ -58,8 +58,8 @@ class RecordRows(NamedTuple):
 
 
 class StartEstimate(NamedTuple):
-    """The state at the start, its covariance in the filter (n, n), the information (n, n) on it as an unknown, and which
-    entries of its tangent (n,) are unknown."""
+    """The state at the start, its covariance in the filter (n, n), the information (n, n) on it as an unknown, and
+    which entries of its tangent (n,) are unknown."""
 
     x: Arrays
     P0: jax.Array

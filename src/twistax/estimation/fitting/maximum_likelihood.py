@@ -27,7 +27,7 @@ from ..measurement import Measurement, check_definite
 from ..process_noise import NoiseDiscretization
 from ..smoothers.levenberg_marquardt import levenberg_marquardt
 from .experiment import SegmentedData, experiments_of, segmented
-from .multiple_shooting import MultipleShooting, Prior, Unknowns, scaled_eigenvalues, solved
+from .multiple_shooting import Prior, ShootingSteps, Unknowns, scaled_eigenvalues, solved
 from .parameter_estimate import ParameterEstimate
 from .segments import Segments
 
@@ -48,13 +48,13 @@ class MaximumLikelihood:
     covariance or none; with noise in the rates a start with a covariance is that of the filter.
 
     The record of an experiment is cut into segments. First the start of each segment is fitted to its measurements,
-    with the parameters as they are. Then Gauss-Newton steps move parameters and starts at once, and close the gaps
-    between segments on the way: multiple shooting. So the states follow the data while the parameters are still wrong,
+    with the parameters as they are. Then Gauss-Newton steps move parameters and starts at once and close the gaps
+    between segments: multiple shooting. So the states follow the data while the parameters are still wrong,
     where a simulation from the start of the record would have left it. With noise in the rates the filter follows the
     data, and there is one segment.
 
     Args:
-        dynamics: the compiled system.
+        dynamics: the compiled system; time is in s.
         measurements: the models of the sensors.
         free: the parameters that are unknown, by leaf or name: a list, or a dict to their limits (low, high), numbers
             or arrays; None for no limit.
@@ -98,7 +98,7 @@ class MaximumLikelihood:
         places = Controls(self.boxes).slices
         self.size = sum(prod(box.shape) for box in self.boxes)
         shooting = Segments(self.kalman, {box.name: (places[box.name], box.shape) for box in self.boxes})
-        self.places, self.shooting = places, MultipleShooting(shooting)
+        self.places, self.shooting = places, ShootingSteps(shooting)
         if segments is not None:
             whole("segments", segments, 1, ModelError)
             if segments > 1 and model.process:
@@ -144,7 +144,8 @@ class MaximumLikelihood:
             shots = segmented(self.kalman, experiments_of(data), values, self.segments)
             dtype = shots.rows.ts.dtype
             limits = jnp.asarray(np.concatenate([limits_of(box) for box in self.boxes]).T, dtype)
-            prior = Prior(*(jnp.asarray(part, dtype) for part in self.prior), limits)
+            mean, information = (jnp.asarray(part, dtype) for part in self.prior)
+            prior = Prior(mean, information, limits)
             start = jnp.concatenate([jnp.asarray(values[box.name], dtype).reshape(-1) for box in self.boxes])
             estimate: ParameterEstimate = self._solve(shots, jnp.clip(start, *limits), prior)
         if not is_traced(estimate.cost):
@@ -269,11 +270,13 @@ def fit(
 
     Data of the same shapes compiles once: the `MaximumLikelihood` of these arguments stays with the dynamics.
 
+    It minimises $1/2 sum_k (e_k^T S_k^-1 e_k + log det S_k)$, see `tx.estimation.MaximumLikelihood`.
+
     Args:
         dynamics: the compiled system.
         data: a `tx.estimation.Experiment`, or a list of them.
         free, measurements, priors, options: as of `tx.estimation.MaximumLikelihood`.
-        params: values of parameters; of those that are free the values to begin with.
+        params: values of parameters in their units; of those that are free the values to begin with.
     Raises:
         ModelError, InputError, ShapeError: arguments that do not fit the system.
         EstimationError: steps that do not converge, numbers that are not finite.

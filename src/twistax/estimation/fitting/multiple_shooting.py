@@ -36,7 +36,7 @@ class Condensed(NamedTuple):
     """The linearised problem in z = [starts of experiments (r n); theta (p)], gaps closed.
 
     Attributes:
-        cost, likelihood: those of `MultipleShooting.cost`.
+        cost, likelihood: those of `ShootingSteps.cost`.
         gradient, information: of the cost with its priors.
         of_data: the information without the prior of parameters.
         tangents: (experiments, segments, n, n + p + 1), the starts of segments $T [d_0; theta; 1]$.
@@ -54,7 +54,7 @@ class Condensed(NamedTuple):
     gaps: tuple[jax.Array, jax.Array, jax.Array]
 
 
-class MultipleShooting:
+class ShootingSteps:
     """The steps for records in segments.
 
     The cost is the negative logarithm of the posterior density, and the end of each segment is the start of the next.
@@ -123,8 +123,8 @@ class MultipleShooting:
         """Which entries of z may move: not what is known, nor parameters that a bound holds against the gradient."""
         slope = problem.gradient[-unknowns.theta.size :]
         low, high = prior.limits
-        held = ((unknowns.theta <= low) & (slope > 0.0)) | ((unknowns.theta >= high) & (slope < 0.0))
-        return jnp.concatenate([data.starts.unknown.reshape(-1), ~held])
+        blocked = ((unknowns.theta <= low) & (slope > 0.0)) | ((unknowns.theta >= high) & (slope < 0.0))
+        return jnp.concatenate([data.starts.unknown.reshape(-1), ~blocked])
 
     def tried(
         self, unknowns: Unknowns, damping: jax.Array, data: SegmentedData, prior: Prior
@@ -138,8 +138,8 @@ class MultipleShooting:
         change = theta - unknowns.theta
         first = z[:-p].reshape(-1, n)
         ones = jnp.ones((len(first), 1), theta.dtype)
-        moves = jnp.concatenate([first, jnp.broadcast_to(change, (len(first), p)), ones], axis=1)
-        d = jnp.einsum("rjnz,rz->rjn", problem.tangents, moves)
+        change_of_all = jnp.concatenate([first, jnp.broadcast_to(change, (len(first), p)), ones], axis=1)
+        d = jnp.einsum("rjnz,rz->rjn", problem.tangents, change_of_all)
         starts = jax.vmap(jax.vmap(self.group.retract))(unknowns.starts, d)
         both = jnp.concatenate([d, jnp.broadcast_to(change, (*d.shape[:2], p))], axis=2)
         step = jnp.sqrt(jnp.einsum("rjp,rjpq,rjq->", both, problem.segments.information, both))
@@ -244,8 +244,8 @@ def _eliminated(segments: LinearizedSegment, gaps: Any) -> tuple[jax.Array, jax.
     return g, N, tangents
 
 
-def _multipliers(segments: LinearizedSegment, gaps: Any, moves: jax.Array) -> jax.Array:
-    """The multipliers of the gaps (segments, n) after the moves (segments, q), backward; that of the last is zero."""
+def _multipliers(segments: LinearizedSegment, gaps: Any, steps: jax.Array) -> jax.Array:
+    """The multipliers of the gaps (segments, n) after the steps (segments, q), backward; that of the last is zero."""
     n = segments.slope.shape[1]
 
     def back(after: jax.Array, row: Any) -> tuple[jax.Array, jax.Array]:
@@ -254,5 +254,5 @@ def _multipliers(segments: LinearizedSegment, gaps: Any, moves: jax.Array) -> ja
         slope = segment.gradient + segment.information @ move
         return slope[:n] + segment.slope[:, :n].T @ by_end.T @ multiplier, multiplier
 
-    nothing = jnp.zeros(n, moves.dtype)
-    return jax.lax.scan(back, nothing, (segments, gaps, moves), reverse=True)[1]
+    nothing = jnp.zeros(n, steps.dtype)
+    return jax.lax.scan(back, nothing, (segments, gaps, steps), reverse=True)[1]

@@ -23,7 +23,7 @@ _UNDETERMINED = 1e5
 
 
 class Combination(NamedTuple):
-    """A combination of parameters that the data determines.
+    """A combination $c^T theta$ of parameters that the data determines, in the units of the parameters.
 
     Attributes:
         name: such as "length" or "mass + 0.5 load".
@@ -40,7 +40,9 @@ class Combination(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class ParameterEstimate:
-    """The most likely parameters. A pytree; `jax.vmap` over data puts an axis in front of its arrays.
+    """The most likely parameters, of deviations $(N^-1)_ii^(1/2)$ in their units.
+
+    A pytree: `jax.vmap` over data puts an axis in front of its arrays.
 
     Attributes:
         params: the free parameters by name.
@@ -170,7 +172,7 @@ class ParameterEstimate:
 
     def deviations(self) -> dict[str, np.ndarray]:
         """Standard deviations of the parameters by name; infinite for one in a combination that is not determined."""
-        _, vectors, scale, counts = self._eigenvalues(True)
+        _, vectors, _, counts = self._eigenvalues(True)
         part = np.abs(vectors[:, ~counts]).max(axis=1, initial=0.0) > 1e-6
         root = np.where(part, np.inf, np.sqrt(np.diag(self._pseudo_inverse())))
         ends = np.cumsum([prod(shape) for _, shape in self.shapes])[:-1]
@@ -181,8 +183,8 @@ class ParameterEstimate:
         unknowns = sum(self._eigenvalues(False)[3]) + sum(np.size(x) for x in self.x0.values())
         lines = [
             f"result: {self.result}",
-            f"squares of residuals over their covariances: {float(self.squares):.4g} for {int(self.residuals)} residuals "
-            f"and at most {int(unknowns)} unknowns",
+            f"squares of residuals over their covariances: {float(self.squares):.4g} for {int(self.residuals)} "
+            f"residuals and at most {int(unknowns)} unknowns",
         ]
         lines += [f"  {one.name} = {one.value:.6g} +- {one.deviation:.2g}" for one in self.combinations]
         lines += [f"  not determined: {name}" for name in self.undetermined]
@@ -192,5 +194,5 @@ class ParameterEstimate:
     @property
     def names_on_bounds(self) -> tuple[str, ...]:
         """The entries that a bound holds against the data."""
-        held: Any = np.asarray(self.on_bound).reshape(-1, len(self.names)).any(axis=0)
-        return tuple(name for name, is_held in zip(self.names, held) if is_held)
+        blocked: Any = np.asarray(self.on_bound).reshape(-1, len(self.names)).any(axis=0)
+        return tuple(name for name, is_held in zip(self.names, blocked) if is_held)

@@ -88,10 +88,16 @@ class Segments:
             end = {name: states[-1] for name, states in post.x.items()}
             sensed = {name: (update.residual, update.S) for name, update in updates.items()}
         else:
-            end, sensed = jax.lax.scan(lambda x, row: self._moved(x, RecordRows(*row), values), x, tuple(rows))
+
+            def moved(x: Arrays, row: Any) -> Any:
+                return self._moved(x, RecordRows(*row), values)
+
+            end, sensed = jax.lax.scan(moved, x, tuple(rows))
         return end, {name: self._innovation(*sensed[name], rows.present[name]) for name in sensed}
 
-    def _moved(self, x: Arrays, row: RecordRows, params: Arrays) -> tuple[Arrays, dict[str, tuple[jax.Array, jax.Array]]]:
+    def _moved(
+        self, x: Arrays, row: RecordRows, params: Arrays
+    ) -> tuple[Arrays, dict[str, tuple[jax.Array, jax.Array]]]:
         """The state after a row, with residuals and their covariances."""
         x = self.model.moved(OperatingPoint(row.ts - row.hs, x, row.controls, params), row.hs)
         sensed = {}
@@ -132,7 +138,9 @@ class Segments:
             g, N = jax.vmap(_derivatives)(one.residual, one.S, *slopes[name])
             gradient = gradient + jnp.sum(jnp.where(one.present[:, None], g, 0.0), axis=0)
             information = information + jnp.sum(jnp.where(one.present[:, None, None], N, 0.0), axis=0)
-        return LinearizedSegment(end, slope, _summed([_likelihood(one) for one in sensed.values()]), gradient, information)
+        return LinearizedSegment(
+            end, slope, _summed([_likelihood(one) for one in sensed.values()]), gradient, information
+        )
 
 
 def gap_and_slopes(group: Any, end: Arrays, start: Arrays) -> tuple[jax.Array, jax.Array, jax.Array]:

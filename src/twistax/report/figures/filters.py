@@ -32,7 +32,13 @@ def ins() -> ErrorStateKalman:
     gyro, accelerometer = tx.Control("gyro", shape=(3,)), tx.Control("accelerometer", shape=(3,))
     noise = tx.Noise("noise", shape=(12,), density=np.repeat(_DENSITIES, 3))
     force = accelerometer - ba - noise[3:6]
-    rates = {R: gyro - bg - noise[:3], v: R @ force + np.array([0.0, 0.0, 9.81]), p: v, bg: noise[6:9], ba: noise[9:]}
+    rates: dict[Any, Any] = {
+        R: gyro - bg - noise[:3],
+        v: R @ force + np.array([0.0, 0.0, 9.81]),
+        p: v,
+        bg: noise[6:9],
+        ba: noise[9:],
+    }
     gps = tx.Measurement("gps", p, covariance=_GPS**2)
     method = tx.RKMK(tx.tableaus.EULER)
     return ErrorStateKalman(tx.compile(tx.System(rates=rates)), [gps], method=method, noise=Trapezoidal())
