@@ -41,7 +41,7 @@ NO_ERRORS = {
         estimation.Consistency estimation.Estimate estimation.FilterRun estimation.Innovations estimation.Observability
         estimation.Prediction estimation.Smoothed estimation.Update estimation.Verdict estimation.AllanVariance
         estimation.GroupAffinity estimation.InertialState estimation.Invariance estimation.PreintegratedImu
-        estimation.BatchEstimate Solution Statistics
+        estimation.BatchEstimate estimation.Combination estimation.ParameterEstimate Solution Statistics
         Sweep Trim charts.Coordinates diffrax.AmbientTerm diffrax.LieController diffrax.LieTerm mechanics.DaveModel
         mechanics.BaseParameters mechanics.Bristles mechanics.GivenForces mechanics.ReachResult mechanics.ReachStatus
         mechanics.Regressor mechanics.Identification mechanics.IdentificationStatus mechanics.DifferentialStep

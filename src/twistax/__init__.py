@@ -54,7 +54,7 @@ if TYPE_CHECKING:  # what `_LATER` loads, for editors and type checkers
         units,
         view,
     )
-    from .estimation import Measurement
+    from .estimation import Measurement, fit
     from .expr.functions.function import Function
     from .expr.functions.parameter_tree import ParameterTree
     from .groups.extended.extended_pose import ExtendedPose
@@ -106,8 +106,8 @@ __all__ = [
     "OperationError", "Order", "OrderError", "ParameterTree", "Phase", "PhasedSolution", "PiecewisePolynomial",
     "Point", "Product", "Result", "ShapeError", "Simulator", "Solution", "Splitting", "Statistics", "StepControl",
     "Sweep", "System", "TrajectoryError", "Trim", "Twist", "TwistaxError", "Wrench", "ZeroOrderHold", "charts",
-    "columns", "compile", "compositions", "diffrax", "estimation", "fast", "integrate", "integrate_phases", "join",
-    "kinds", "lie", "linalg", "load", "lower", "mechanics", "pose", "repeat", "simulator", "spatial", "sweep",
+    "columns", "compile", "compositions", "diffrax", "estimation", "fast", "fit", "integrate", "integrate_phases",
+    "join", "kinds", "lie", "linalg", "load", "lower", "mechanics", "pose", "repeat", "simulator", "spatial", "sweep",
     "tableaus", "tables", "tangent_grad", "testing", "trajectory", "trim", "units", "view",
 ]
 # fmt: on
@@ -120,7 +120,7 @@ _LATER = {
         "charts", "columns", "compositions", "diffrax", "estimation", "mechanics", "tableaus", "testing",
         "trajectory", "units", "view",
     ),
-    ".estimation": ("Measurement",),
+    ".estimation": ("Measurement", "fit"),
     ".integrators": (
         "RKMK", "AtStart", "Between", "CommutatorFree", "Crossings", "Event", "FirstOrderHold", "FreeBody",
         "FreeParticle", "ImplicitRKMK", "Magnus", "Phase", "PhasedSolution", "PiecewisePolynomial", "Result",

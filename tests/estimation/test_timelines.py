@@ -32,6 +32,29 @@ def test_more_times_reach_further() -> None:
     np.testing.assert_array_equal(run(t0=0.5).ts, [0.5, 1.0, 1.5, 2.0, 2.5])
 
 
+def test_measurements_count_at_their_times_in_whatever_order_they_come() -> None:
+    """One that is late is where it was made; one that is missing changes nothing."""
+    ts, values = np.array([0.5, 1.5, 2.5, 3.5]), np.array([0.3, 0.1, 0.4, 0.2])
+    first, late = run(records={"y": (ts, values)}, t0=0.0), [2, 0, 3, 1]
+    for records in ((ts[late], values[late]), (np.append(ts, 3.0)[::-1], np.append(values, np.nan)[::-1])):
+        other = run(records={"y": records}, t0=0.0)
+        np.testing.assert_allclose(other.xs["x"][-1], first.xs["x"][-1], atol=1e-14)
+        np.testing.assert_allclose(other.P[-1], first.P[-1], atol=1e-14)
+        assert int(np.sum(other.innovations["y"].used)) == 4
+
+
+def test_a_filter_says_what_its_measurements_would_tell() -> None:
+    """Of a position with an offset their sum and the velocity."""
+    p, v, offset = tx.State("p"), tx.State("v"), tx.State("offset")
+    cart = tx.compile(tx.System(rates={p: v, v: tx.Noise("force", density=0.1), offset: 0.0}))
+    ranging = ErrorStateKalman(cart, [tx.Measurement("range", p + offset, covariance=0.01)])
+    start = {"p": 0.0, "v": 1.0, "offset": 0.5}
+    text = ranging.explain({"range": np.arange(3.0)}, start)
+    assert text.startswith("observability: rank 2 of 3, condition")
+    assert "not observable: p - offset" in text
+    assert "rank 1 of 3" in ranging.explain({"range": [1.0]}, start, t0=0.0)
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

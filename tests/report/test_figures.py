@@ -9,7 +9,7 @@ import pytest
 
 import twistax as tx
 from twistax.mechanics import screws
-from twistax.report.figures import identities, scalars, steps
+from twistax.report.figures import filters, identities, scalars, steps
 from twistax.report.harness.expected import Absent
 from twistax.report.harness.measurement import MeasuredCase, explained
 from twistax.report.harness.page import texts
@@ -160,6 +160,21 @@ def test_c_steps_the_same_body_and_the_difference_sees_another(monkeypatch: pyte
     changed = tmp_path / "rkmk4.c"
     changed.write_text(steps.SOURCE.read_text().replace("DRAG = 0.1;", "DRAG = 0.1001;"))
     monkeypatch.setattr(steps, "SOURCE", changed)
+    with pytest.raises(RuntimeError, match="DISAGREES"):
+        race().programs  # noqa: B018
+
+
+@pytest.mark.slow
+def test_filters_take_the_same_steps_as_those_of_others(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """With another gravity the ends are far more than the bar apart."""
+    assert len(Race(filters.in_batches, 1e-12, Repeats(1, 1), filters.IN_BATCHES.read).programs) == 2
+    if steps.shutil.which("gcc") is None:
+        pytest.skip("needs gcc")
+    race = lambda: Race(lambda: filters.in_c(100), filters.IN_C.bar, Repeats(1, 1))  # noqa: E731
+    assert len(race().programs) == 2
+    changed = tmp_path / "ins15.c"
+    changed.write_text(filters.SOURCE.read_text().replace("9.81", "9.811"))
+    monkeypatch.setattr(filters, "SOURCE", changed)
     with pytest.raises(RuntimeError, match="DISAGREES"):
         race().programs  # noqa: B018
 

@@ -88,3 +88,17 @@ filters = [tx.estimation.ErrorStateKalman(cart, [ranging], noise=rule) for rule 
 
 # tx.estimation.NoiseDiscretization
 all(isinstance(rule, tx.estimation.NoiseDiscretization) for rule in rules)
+
+# tx.fit tx.estimation.Experiment tx.estimation.ParameterEstimate
+mass = tx.Parameter("mass", value=1.0)  # kg
+pushed = tx.compile(tx.System(rates={p: v, v: 2.0 / mass}))
+experiment = tx.estimation.Experiment({"range": (ts, 0.7 * ts**2)}, x0={"p": 0.0, "v": 0.0}, P0=0.0)
+fitted = tx.fit(pushed, experiment, free={mass: (0.1, 10.0)}, measurements=[ranging], segments=1)
+fitted.result, fitted.params["mass"], fitted.deviations()["mass"]
+
+# tx.estimation.Combination
+[(one.name, one.value, one.deviation) for one in fitted.combinations]
+
+# tx.estimation.MaximumLikelihood
+likely = tx.estimation.MaximumLikelihood(pushed, [ranging], free=["mass"], segments=1)
+likely.run(experiment).params["mass"]

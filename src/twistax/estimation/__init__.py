@@ -4,6 +4,9 @@ from .consistency import Consistency, Verdict, consistency
 from .error_state_kalman import ErrorStateKalman
 from .filter import Estimate, Filter, Prediction
 from .filter_run import FilterRun, Innovations
+from .fitting.experiment import Experiment
+from .fitting.maximum_likelihood import MaximumLikelihood, fit
+from .fitting.parameter_estimate import Combination, ParameterEstimate
 from .imu.allan import AllanVariance, allan
 from .imu.preintegration import InertialState, PreintegratedImu, Preintegration
 from .invariant_kalman import GroupAffinity, Invariance, InvariantKalman, group_affinity
@@ -19,10 +22,11 @@ from .update import Update
 
 # fmt: off
 __all__ = [
-    "AllanVariance", "BatchEstimate", "BatchSmoother", "CauchyLoss", "Consistency", "ErrorStateKalman", "Estimate",
-    "Filter", "FilterRun", "FixedLagSmoother", "GroupAffinity", "HuberLoss", "InertialState", "Innovations",
-    "Invariance", "InvariantKalman", "NoiseDiscretization", "Observability", "Prediction", "PreintegratedImu",
-    "Preintegration", "RauchTungStriebel", "RobustLoss", "Smoothed", "SquareRootKalman", "Trapezoidal",
-    "UnscentedKalman", "Update", "VanLoan", "Verdict", "allan", "consistency", "group_affinity",
+    "AllanVariance", "BatchEstimate", "BatchSmoother", "CauchyLoss", "Combination", "Consistency", "ErrorStateKalman",
+    "Estimate", "Experiment", "Filter", "FilterRun", "FixedLagSmoother", "GroupAffinity", "HuberLoss",
+    "InertialState", "Innovations", "Invariance", "InvariantKalman", "MaximumLikelihood", "NoiseDiscretization",
+    "Observability", "ParameterEstimate", "Prediction", "PreintegratedImu", "Preintegration", "RauchTungStriebel",
+    "RobustLoss", "Smoothed", "SquareRootKalman", "Trapezoidal", "UnscentedKalman", "Update", "VanLoan", "Verdict",
+    "allan", "consistency", "group_affinity",
 ]
 # fmt: on

@@ -14,11 +14,13 @@ import numpy as np
 from ..checks import listed, number, real_array, reals
 from ..errors import InputError, ModelError, ShapeError
 from ..jax_inside import is_traced
+from ..linear.labels import labels, tangent_shapes
 from ..progress import watching
 from ..system.dynamics import Arrays, Dynamics
 from ..system.inputs import Values, precision
 from .filter_run import FilterRun, Innovations
 from .measurement import Measurement, check_definite
+from .observability import observability
 from .process_noise import NoiseDiscretization
 from .records import Records, Timeline, controls_on, jumps_of, timeline_of
 from .stochastic_model import OperatingPoint, StochasticModel
@@ -173,6 +175,57 @@ class Filter(ABC):
             run.check()
         return run
 
+    def explain(
+        self,
+        times: Mapping[str, Any],
+        x0: Values,
+        *,
+        t0: float | None = None,
+        u: Mapping[str, Any] | Callable[[Any], Mapping[str, Any]] | None = None,
+        params: Values | None = None,
+    ) -> str:
+        """Which states measurements at some times would tell: the observability of the system along a motion, as text.
+
+        The Gramian is that of the motion from x0 without noise, so its rank is that of the system, before there is any
+        data. `FilterRun.observability` has that of a run.
+
+        Args:
+            times: by measurement, (k,) in s.
+            x0, t0, u, params: as of `run`.
+        Raises: InputError, ShapeError: as `run`.
+        """
+        one = {name: m.group.identity(float) for name, m in self.model.measurements.items()}
+        records = {
+            name: (ts, np.broadcast_to(one[name], (np.size(ts), *one[name].shape)) if name in one else np.zeros(0))
+            for name, ts in times.items()
+        }
+        stages = self.staged(records, x0, 0.0, t0, u, params, ())
+        transitions, information = self._along(stages)
+        names = labels(tangent_shapes(self.model.group))
+        limit = 100.0 * len(names) * float(jnp.finfo(transitions.dtype).eps)
+        return str(observability(np.asarray(transitions, float), np.asarray(information, float), names, limit))
+
+    @functools.cached_property
+    def _along(self) -> Callable[[RunStages], tuple[jax.Array, jax.Array]]:
+        """The transition matrices and the information of measurements along the motion of the mean."""
+
+        def along(ts: Any, hs: Any, present: Any, controls: Any, x0: Any, params: Any) -> Any:
+            def advance(x: Arrays, row: Any) -> tuple[Arrays, Any]:
+                t, h, seen, u = row
+                x, transition, _ = self.model.step(OperatingPoint(t - h, x, u, params), h)
+                information = jnp.zeros_like(transition)
+                for name in seen:
+                    _, H, R = self.model.sensitivity(name, OperatingPoint(t, x, u, params))
+                    information = information + jnp.where(seen[name], H.T @ jnp.linalg.solve(R, H), 0.0)
+                return x, (transition, information)
+
+            return jax.lax.scan(advance, x0, (ts, hs, present, controls))[1]
+
+        jitted = jax.jit(along)
+        return lambda stages: jitted(
+            stages.ts, stages.hs, stages.timeline.present, stages.controls, stages.x0, stages.params
+        )
+
     def staged(
         self, records: Records, x0: Values, P0: Any, t0: Any, u: Any, params: Values | None, save_at: Any
     ) -> RunStages:
@@ -212,27 +265,28 @@ class Filter(ABC):
             ts, post.x, post.P, prior.x, prior.P, prior.transition, information, innovations, total, self.model.group
         )
 
+    def scanned(
+        self, ts: Any, hs: Any, values: Any, present: Any, controls: Any, x0: Any, P0: Any, params: Any
+    ) -> tuple[Prediction, Estimate, dict[str, Update]]:
+        """The predictions, estimates and updates at all times, from the arguments of a run. They are prepared."""
+
+        def advance(carry: Estimate, row: Any) -> tuple[Estimate, Any]:
+            t, h, z, seen, u = row
+            before = OperatingPoint(t - h, carry.x, u, params)
+            prior = self.propagated(before, carry.P, h)
+            x, P, updates = prior.x, prior.P, {}
+            for name in z:
+                update = functools.partial(self._if_present, name, OperatingPoint(t, x, u, params), P, z[name])
+                updates[name] = update(seen[name])
+                x, P = updates[name].x, updates[name].P
+            prior = prior._replace(P=self.multiplied(prior.P))
+            return Estimate(x, P), (prior, Estimate(x, self.multiplied(P)), updates)
+
+        return jax.lax.scan(advance, Estimate(x0, self.factored(P0)), (ts, hs, values, present, controls))[1]
+
     @functools.cached_property
     def _scan(self) -> Callable[..., Any]:
-        def scan(
-            ts: Any, hs: Any, values: Any, present: Any, controls: Any, x0: Any, P0: Any, params: Any
-        ) -> tuple[Prediction, Estimate, dict[str, Update]]:
-            def advance(carry: Estimate, row: Any) -> tuple[Estimate, Any]:
-                t, h, z, seen, u = row
-                before = OperatingPoint(t - h, carry.x, u, params)
-                prior = self.propagated(before, carry.P, h)
-                x, P, updates = prior.x, prior.P, {}
-                for name in z:
-                    update = functools.partial(self._if_present, name, OperatingPoint(t, x, u, params), P, z[name])
-                    updates[name] = update(seen[name])
-                    x, P = updates[name].x, updates[name].P
-                prior = prior._replace(P=self.multiplied(prior.P))
-                return Estimate(x, P), (prior, Estimate(x, self.multiplied(P)), updates)
-
-            rows = (ts, hs, values, present, controls)
-            return jax.lax.scan(advance, Estimate(x0, self.factored(P0)), rows)[1]
-
-        jitted = jax.jit(scan)
+        jitted = jax.jit(self.scanned)
 
         def run(stages: RunStages) -> Any:
             timeline, ts, hs, controls, x0, P0, params = stages
@@ -263,7 +317,11 @@ class Filter(ABC):
         def update(name: str, point: OperatingPoint, P: jax.Array, z: jax.Array) -> Update:
             known = jnp.isfinite(z).all()
             safe = jnp.where(known, z, self.model.measurements[name].group.identity(z.dtype))
-            update = self._if_present(name, point, self.factored(P), safe, known)
+            # Selected, not branched: so a batch of filters can be one kernel.
+            factor = self.factored(P)
+            update = self.corrected(name, point, factor, safe, self.limits[name])
+            skipped = jax.tree.map(jnp.zeros_like, update)._replace(x=point.x, P=factor)
+            update = jax.tree.map(lambda a, b: jnp.where(known, a, b), update, skipped)
             return update._replace(P=self.multiplied(update.P))
 
         return jax.jit(update, static_argnums=0)

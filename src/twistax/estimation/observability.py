@@ -57,10 +57,10 @@ def observability(
     condition = float(values[-1] / values[count][0]) if rank else np.inf
     # A null vector of the scaled Gramian is one of the Gramian in other units: v = scaled / scale.
     null = vectors[:, ~count] / scale[:, None]
-    return Observability(gramian, rank, condition, tuple(_named(row, labels) for row in _reduced(null.T)))
+    return Observability(gramian, rank, condition, tuple(named(row, labels) for row in reduced(null.T)))
 
 
-def _reduced(rows: np.ndarray) -> np.ndarray:
+def reduced(rows: np.ndarray) -> np.ndarray:
     """A basis of the same space with as many zeros as elimination makes, each row with a largest entry of 1."""
     rows = rows / np.abs(rows).max(axis=1, initial=0.0, keepdims=True)
     for used in range(len(rows)):
@@ -73,13 +73,16 @@ def _reduced(rows: np.ndarray) -> np.ndarray:
     return rows
 
 
-def _named(row: np.ndarray, labels: Sequence[str]) -> str:
+def named(row: np.ndarray, labels: Sequence[str]) -> str:
     """A combination by names, its largest coefficient 1; what is below 1e-6 of it is left out."""
-    size = np.abs(row).max()
-    row = row / row[np.argmax(np.abs(row) > (1.0 - 1e-6) * size)]  # of equal ones the first, whatever their round-off
     terms = []
-    for value, label in zip(row, labels):
+    for value, label in zip(normalized(row), labels):
         if abs(value) > 1e-6:
             factor = "" if abs(abs(value) - 1.0) < 5e-4 else f"{abs(value):.3g} "
             terms.append(f"{'-' if value < 0.0 else '+'} {factor}{label}")
     return " ".join(terms).removeprefix("+ ")
+
+
+def normalized(row: np.ndarray) -> np.ndarray:
+    """A combination with a largest coefficient of 1; of equal ones the first, whatever their round-off."""
+    return np.asarray(row / row[np.argmax(np.abs(row) > (1.0 - 1e-6) * np.abs(row).max())])

@@ -24,11 +24,9 @@ from ..filter import RunStages
 from ..measurement import Measurement
 from ..records import Records
 from ..stochastic_model import OperatingPoint
+from .levenberg_marquardt import levenberg_marquardt
 from .linear_stages import LinearStage, Sensed, in_range, smoothed
 from .robust_losses import RobustLoss
-
-#: Levenberg-Marquardt: the first damping after a step that raised the cost, the factor between two, and the largest.
-_DAMPING, _FACTOR, _MOST = 1e-2, 10.0, 1e8
 
 
 @jax.tree_util.register_dataclass
@@ -65,16 +63,6 @@ class BatchEstimate:
             worst = float(np.max(self.step))
             return f"not converged after {int(np.max(self.iterations))} steps, the last of {worst:.2g} deviations"
         return "successful"
-
-
-class _Iterate(NamedTuple):
-    """States, and the damping of the next step."""
-
-    xs: Arrays
-    damping: jax.Array
-    iterations: jax.Array
-    step: jax.Array
-    done: jax.Array
 
 
 class _Data(NamedTuple):
@@ -209,35 +197,22 @@ class BatchSmoother:
         variances = jnp.diagonal(P, axis1=1, axis2=2)
         scale = jnp.where(variances > 0.0, variances, 1.0)
 
-        def tried(iterate: _Iterate) -> _Iterate:
-            stages, Qs = self._linearized(data, iterate.xs)
-            d, _ = smoothed(stages, iterate.damping, scale)
+        def tried(xs: Arrays, damping: jax.Array) -> tuple[Arrays, jax.Array, jax.Array]:
+            stages, Qs = self._linearized(data, xs)
+            d, _ = smoothed(stages, damping, scale)
             # Both costs with the covariances of this iterate, whose derivatives a Gauss-Newton step leaves out.
             Rs = {name: sensed.R for name, sensed in stages.sensed.items()}
-            (_, before), (new, after) = (self._moved(data, Qs, Rs, iterate.xs, by) for by in (still, d))
-            better = after <= before * (1.0 + 16.0 * round_off)
+            (_, before), (new, after) = (self._moved(data, Qs, Rs, xs, by) for by in (still, d))
             step = jnp.sqrt(jnp.max(jnp.mean(d * d / scale, axis=1)))
-            down = jnp.where(iterate.damping > _DAMPING, iterate.damping / _FACTOR, zero)
-            up = jnp.maximum(iterate.damping * _FACTOR, jnp.asarray(_DAMPING, dtype))
-            return _Iterate(
-                jax.tree.map(lambda a, b: jnp.where(better, a, b), new, iterate.xs),
-                jnp.where(better, down, up),
-                iterate.iterations + 1,
-                step,
-                (step < tolerance) & (iterate.damping == 0.0),
-            )
-
-        def going(iterate: _Iterate) -> jax.Array:
-            return ~iterate.done & (iterate.iterations < self.max_iterations) & (iterate.damping < _MOST)
+            return new, after <= before * (1.0 + 16.0 * round_off), step
 
         def settled(xs: Arrays) -> tuple[Arrays, jax.Array, LinearStage]:
             """The states as those without noise obey the dynamics, their cost and the stages about them."""
             stages, Qs = self._linearized(data, xs)
             return *self._moved(data, Qs, {name: one.R for name, one in stages.sensed.items()}, xs, still), stages
 
-        start = _Iterate(settled(xs)[0], zero, jnp.zeros((), jnp.int32), zero + jnp.inf, jnp.zeros((), bool))
-        last = jax.lax.while_loop(going, tried, start)
-        xs, cost, stages = settled(last.xs)
+        last = levenberg_marquardt(settled(xs)[0], tried, zero + tolerance, self.max_iterations)
+        xs, cost, stages = settled(last.value)
         _, P = smoothed(stages, zero, scale)
         return xs, P, cost, {name: sensed.weight for name, sensed in stages.sensed.items()}, last
 

@@ -14,6 +14,7 @@ from numpy import ndarray as Array
 from ...checks import known_arguments
 from ...errors import ModelError, TrajectoryError, in_phase
 from ...expr import Parameter, leaves_of
+from ...linear.free_parameters import boxes_of
 from ...scalar.walk import uncollected
 from ...system import free_name, name_of
 from ...system.dynamics import need_compiled
@@ -26,7 +27,7 @@ from ..strategy.outcome import Callback
 from ..strategy.redundant_rows import redundant_rows
 from ..strategy.stiffness import IMPLICIT
 from ..strategy.strategies import Strategy
-from ..transcription.border import Border, boxes_of
+from ..transcription.border import Border
 from ..transcription.iterate import Instance, Iterate
 from ..transcription.mesh import Remeshed
 from ..transcription.staged import Staged

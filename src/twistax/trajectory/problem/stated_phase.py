@@ -12,10 +12,11 @@ from numpy import ndarray as Array
 from ...checks import short
 from ...errors import ModelError, TrajectoryError
 from ...expr import Control, Parameter, State, leaves_of
+from ...linear.free_parameters import boxes_of
 from ...system import entry_names, name_of
 from ..hessians.options import checked_hessian
 from ..strategy.warm import other_problem
-from ..transcription.border import Border, boxes_of, times_of
+from ..transcription.border import Border, times_of
 from ..transcription.iterate import Iterate
 from ..transcription.mesh import mesh_of
 from ..transcription.methods import transcription_of

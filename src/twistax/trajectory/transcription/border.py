@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -17,6 +17,7 @@ from ...checks import listed, number, reals, short
 from ...errors import ModelError, TrajectoryError
 from ...expr import Control, Parameter
 from ...linear.discretize import Controls
+from ...linear.free_parameters import boxes_of, limits_of
 from ...system import entry_names, name_of
 from ...units import same_unit, seconds
 
@@ -41,7 +42,7 @@ class Border:
     @functools.cached_property
     def limits(self) -> Array:
         """(g, 2), infinite where there is none."""
-        return np.concatenate([np.reshape(self.time_limits, (-1, 2)), *map(_sides, self.boxes)])
+        return np.concatenate([np.reshape(self.time_limits, (-1, 2)), *map(limits_of, self.boxes)])
 
     @property
     def size(self) -> int:
@@ -97,7 +98,7 @@ class Border:
                 )
         for box in boxes_of(free, [Parameter(box.name, box.shape) for box in self.boxes], ()):
             part = slice(*(self.phases + np.array([places[box.name].start, places[box.name].stop])))
-            other = _sides(box)
+            other = limits_of(box)
             if (np.isfinite(other) != np.isfinite(limits[part])).any():
                 raise TrajectoryError(
                     f"solve: free[{box.name!r}] must have limits on the sides where the problem has them, "
@@ -122,45 +123,6 @@ class Border:
             if box.name in guess and (value != parts[-1]).any():
                 raise TrajectoryError(f"guess[{box.name!r}] must be within its limits, got {short(guess[box.name])}")
         return np.concatenate(parts)
-
-
-def _sides(box: Control) -> Array:
-    """(entries, 2) the limits of a leaf."""
-    ends = [np.full(box.shape, far) if end is None else end for end, far in ((box.min, -np.inf), (box.max, np.inf))]
-    return np.stack([np.ravel(end) for end in ends], axis=1)
-
-
-def boxes_of(free: Any, parameters: Iterable[Parameter], baked: Iterable[str]) -> tuple[Control, ...]:
-    """The free parameters with their boxes, from `free={parameter or name: (low, high)}`.
-
-    Raises:
-        ModelError: what is no parameter of the problem, or was baked; limits that are no pair, or low above high.
-        ShapeError: limits that do not broadcast to the parameter's shape.
-    """
-    if isinstance(free, (list, tuple)):
-        free = dict.fromkeys(free, (None, None))
-    if free is not None and not isinstance(free, Mapping):
-        raise ModelError(
-            f"free must be a dict from parameters to limits (low, high) or a list of parameters, got {short(free)}; "
-            "e.g. free={'mass': (1.0, 3.0)}"
-        )
-    known, gone, boxes = {leaf.name: leaf for leaf in parameters}, set(baked), []
-    for key, limits in (free or {}).items():
-        name = name_of(key)
-        if name in gone:
-            raise ModelError(
-                f"free names the parameter {name!r}, which was baked into the dynamics.\n  fix: do not bake it"
-            )
-        if name not in known or not isinstance(key, (str, Parameter)):
-            raise ModelError(f"free names {name!r}, but the problem reads the parameters: {listed(known, name)}")
-        if not isinstance(limits, (tuple, list)) or len(limits) != 2:
-            raise ModelError(f"free[{name!r}] expects limits (low, high), got {short(limits)}")
-        low, high = limits
-        try:
-            boxes.append(Control(name, known[name].shape, min=low, max=high))
-        except ModelError as error:
-            raise ModelError(f"free: {error}") from None
-    return tuple(boxes)
 
 
 def times_of(final_time: Any, guess: Any) -> tuple[tuple[float, float], float]:

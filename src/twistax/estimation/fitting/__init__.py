@@ -1,0 +1,1 @@
+"""Parameters from data: maximum likelihood by multiple shooting."""

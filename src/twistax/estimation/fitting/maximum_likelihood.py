@@ -1,0 +1,306 @@
+"""Maximum likelihood of parameters from records, by multiple shooting."""
+
+from __future__ import annotations
+
+import functools
+import warnings
+from collections.abc import Callable, Iterable, Mapping
+from math import prod
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ...checks import listed, real_array, reals, short, whole
+from ...errors import EstimationError, InputError, ModelError, ShapeError
+from ...expr import Leaf, Parameter
+from ...jax_inside import is_traced
+from ...linear.discretize import Controls
+from ...linear.free_parameters import boxes_of, limits_of
+from ...progress import watched
+from ...system import name_of
+from ...system.dynamics import Dynamics, need_compiled
+from ...system.inputs import Values
+from ..error_state_kalman import ErrorStateKalman
+from ..measurement import Measurement, check_definite
+from ..process_noise import NoiseDiscretization
+from ..smoothers.levenberg_marquardt import levenberg_marquardt
+from .experiment import SegmentedData, experiments_of, segmented
+from .multiple_shooting import Prior, ShootingSteps, Unknowns, scaled_eigenvalues, solved
+from .parameter_estimate import ParameterEstimate
+from .segments import Segments
+
+#: Steps of the start of a segment to its measurements, before parameters move.
+_STATE_STEPS = 20
+
+
+class MaximumLikelihood:
+    """The parameters of a system that make measurements most likely. `tx.fit` makes one and runs it.
+
+    Without `tx.Noise` in the rates, the motion follows from the parameters and the state at the start, and errors are
+    those of the measurements: the output error method,
+
+        $min 1/2 sum_k (e_k^T R^-1 e_k + log det R), e_k = Log(h(x_k)^-1 z_k)$.
+
+    With noise in the rates e and its covariance S are the innovations of `ErrorStateKalman`, the filter error method.
+    So densities and covariances may be free parameters too. Starts of experiments are unknown as well, each with a
+    covariance or none; with noise in the rates a start with a covariance is that of the filter.
+
+    The record of an experiment is cut into segments. First the start of each segment is fitted to its measurements,
+    with the parameters as they are. Then Gauss-Newton steps move parameters and starts at once and close the gaps
+    between segments: multiple shooting. So the states follow the data while the parameters are still wrong,
+    where a simulation from the start of the record would have left it. With noise in the rates the filter follows the
+    data, and there is one segment.
+
+    Args:
+        dynamics: the compiled system; time is in s.
+        measurements: the models of the sensors.
+        free: the parameters that are unknown, by leaf or name: a list, or a dict to their limits (low, high), numbers
+            or arrays; None for no limit.
+        priors: by parameter a pair of its expected value and its covariance: a number, one for each entry, or a matrix.
+        method, max_step, noise: as of `ErrorStateKalman`.
+        segments: of each record; at most 12 if left out, with eight rows or two for each entry of the state.
+        max_iterations: steps at most.
+    Raises:
+        ModelError: what `ErrorStateKalman` refuses; free or priors of what is no parameter, or was baked; no free one.
+        ShapeError, InputError: limits and priors of other shapes, or not positive definite.
+
+    Example: `MaximumLikelihood(dynamics, [angle], free=["length"]).run(Experiment({"angle": (ts, qs)}, x0))`.
+
+    Source: Maine, Iliff, Identification of dynamic systems, NASA RP-1138 (1985); Ljung, System Identification: Theory
+    for the User (1999), sec. 7.4; Bock, Randwertproblemmethoden zur Parameteridentifizierung (1987).
+    """
+
+    def __init__(
+        self,
+        dynamics: Dynamics,
+        measurements: Iterable[Measurement],
+        free: Any,
+        *,
+        priors: Mapping[Any, Any] | None = None,
+        method: Any = None,
+        max_step: float | None = None,
+        noise: NoiseDiscretization | None = None,
+        segments: int | None = None,
+        max_iterations: int = 200,
+    ) -> None:
+        need_compiled("fit", dynamics)
+        self.kalman = ErrorStateKalman(dynamics, measurements, method=method, max_step=max_step, noise=noise)
+        model = self.kalman.model
+        if not model.measurements:
+            raise ModelError("fit expects measurements=[tx.Measurement(...), ...], got none")
+        self.free: dict[str, Parameter] = {leaf.name: leaf for leaf in model.noisy.system.parameters}
+        self.boxes = boxes_of(free, self.free.values(), dynamics.baked)
+        if not self.boxes:
+            raise ModelError(f"fit expects free parameters, of {listed(self.free)}.\n  fix: free=[...]")
+        self.free = {box.name: self.free[box.name] for box in self.boxes}
+        places = Controls(self.boxes).slices
+        self.size = sum(prod(box.shape) for box in self.boxes)
+        shooting = Segments(self.kalman, {box.name: (places[box.name], box.shape) for box in self.boxes})
+        self.places, self.shooting = places, ShootingSteps(shooting)
+        if segments is not None:
+            whole("segments", segments, 1, ModelError)
+            if segments > 1 and model.process:
+                raise ModelError("fit expects segments=1 with noise in the rates: the filter follows the data")
+        self.segments, self.max_iterations = segments, whole("max_iterations", max_iterations, 1, ModelError)
+        self.prior = self._prior(priors or {})
+
+    def _prior(self, priors: Mapping[Any, Any]) -> tuple[np.ndarray, np.ndarray]:
+        """The expected values and the information of priors."""
+        mean, information = np.zeros(self.size), np.zeros((self.size, self.size))
+        for key, pair in priors.items():
+            name = name_of(key)
+            if name not in self.free:
+                raise ModelError(f"priors names {name!r}, but the free parameters are {listed(self.free, name)}")
+            if not isinstance(pair, (tuple, list)) or len(pair) != 2:
+                raise InputError(f"priors[{name!r}] expects a pair (value, covariance), got {short(pair)}")
+            part, shape = self.places[name], self.free[name].shape
+            value, covariance = (reals(f"priors[{name!r}]", one, InputError).astype(float) for one in pair)
+            count = prod(shape)
+            if value.shape != shape or covariance.shape not in ((), (count,), (count, count)):
+                raise ShapeError(
+                    f"priors[{name!r}] expects a value of shape {shape} and a covariance of (), ({count},) or "
+                    f"({count}, {count}), got {value.shape} and {covariance.shape}"
+                )
+            check_definite(f"priors[{name!r}]", covariance, count, InputError)
+            matrix = covariance if covariance.ndim == 2 else np.diag(np.broadcast_to(covariance, (count,)))
+            mean[part], information[part, part] = value.reshape(-1), np.linalg.inv(matrix)
+        return mean, information
+
+    def run(self, data: Any, params: Values | None = None) -> ParameterEstimate:
+        """The most likely parameters. Values of records may be traced by jit and vmap.
+
+        Args:
+            data: an `Experiment`, or a list of them.
+            params: values of parameters; of those that are free the values to begin with. Default values, and the
+                middle of limits, if left out.
+        Raises:
+            InputError, ShapeError: experiments and parameters that do not fit the system.
+            EstimationError: steps that do not converge, or numbers that are not finite, unless traced.
+        """
+        values = self._values(params or {})
+        with watched("fit"):
+            shots = segmented(self.kalman, experiments_of(data), values, self.segments)
+            dtype = shots.rows.ts.dtype
+            limits = jnp.asarray(np.concatenate([limits_of(box) for box in self.boxes]).T, dtype)
+            mean, information = (jnp.asarray(part, dtype) for part in self.prior)
+            prior = Prior(mean, information, limits)
+            start = jnp.concatenate([jnp.asarray(values[box.name], dtype).reshape(-1) for box in self.boxes])
+            estimate: ParameterEstimate = self._solve(shots, jnp.clip(start, *limits), prior)
+        if not is_traced(estimate.cost):
+            self._check(estimate)
+        return estimate
+
+    def _values(self, params: Values) -> dict[str, Any]:
+        """The values of parameters with those to begin with."""
+        values = {name_of(key): value for key, value in params.items()}
+        for box in self.boxes:
+            value, leaf = values.get(box.name), self.free[box.name]
+            if value is None:
+                value = leaf.value
+            if value is None and box.min is not None and box.max is not None:
+                value = 0.5 * (np.asarray(box.min) + np.asarray(box.max))
+            if value is None:
+                raise InputError(f"fit expects a value to begin with for {box.name!r}.\n  fix: params={{...}}")
+            array = real_array(f"params[{box.name!r}]", value)
+            if array.shape != leaf.shape:
+                raise ShapeError(f"params[{box.name!r}] expects shape {leaf.shape}, got {array.shape}")
+            values[box.name] = array
+        return values
+
+    def _check(self, estimate: ParameterEstimate) -> None:
+        if not estimate.converged:
+            raise EstimationError(
+                f"the fit is {estimate.result}.\n"
+                "  fix: other values to begin with, params=...; limits of free parameters; priors; more segments"
+            )
+        if names := estimate.names_on_bounds:
+            warnings.warn(
+                f"the fit is on a bound of {', '.join(names)}: the data asks for a value beyond it",
+                RuntimeWarning,
+                stacklevel=3,
+            )
+
+    # ---- iterations --------------------------------------------------------------------------------------------------
+
+    @functools.cached_property
+    def _solve(self) -> Callable[..., ParameterEstimate]:
+        return jax.jit(self._solved)
+
+    def _solved(self, data: SegmentedData, theta: jax.Array, prior: Prior) -> ParameterEstimate:
+        starts = self.shooting.simulated_starts(theta, data)
+        tolerance = jnp.asarray(np.sqrt(float(jnp.finfo(theta.dtype).eps)), theta.dtype)
+        experiments, segments = data.rows.ts.shape[:2]
+        if segments > 1:
+            starts = self._to_measurements(starts, data, theta, tolerance)
+        weights = jnp.zeros((experiments, segments, self.kalman.model.dimension), theta.dtype)
+        tried = lambda unknowns, damping: self.shooting.tried(unknowns, damping, data, prior)  # noqa: E731
+        last = levenberg_marquardt(Unknowns(starts, theta, weights), tried, tolerance, self.max_iterations)
+        return self._judged(last.value, last.iterations, data, prior)
+
+    def _to_measurements(self, starts: Any, data: SegmentedData, theta: jax.Array, tolerance: jax.Array) -> Any:
+        """The starts of segments by the measurements of each alone; where the start is known it stays."""
+
+        def one(x: Any, rows: Any) -> Any:
+            tried = lambda x, damping: self.shooting.state_step(x, damping, theta, rows, data.params)  # noqa: E731
+            return levenberg_marquardt(x, tried, tolerance, _STATE_STEPS).value
+
+        fitted = jax.vmap(jax.vmap(one))(starts, data.rows)
+        open_start = data.starts.unknown.all(axis=1) & (data.starts.information == 0.0).all(axis=(1, 2))
+        segments = data.rows.ts.shape[1]
+        moved = open_start[:, None] | (jnp.arange(segments) > 0)[None, :]
+
+        def chosen(a: jax.Array, b: jax.Array) -> jax.Array:
+            return jnp.where(moved.reshape(*moved.shape, *(1,) * (a.ndim - 2)), a, b)
+
+        return jax.tree.map(chosen, fitted, starts)
+
+    def _judged(self, unknowns: Unknowns, iterations: jax.Array, data: SegmentedData, prior: Prior) -> Any:
+        """The estimate, with its measures from one simulation of each experiment."""
+        merged = lambda a: a.reshape(len(a), 1, -1, *a.shape[3:])  # noqa: E731
+        data = data._replace(rows=jax.tree.map(merged, data.rows))
+        first = lambda a: a[:, :1]  # noqa: E731
+        unknowns = Unknowns(jax.tree.map(first, unknowns.starts), unknowns.theta, first(unknowns.weights))
+        problem = self.shooting.condensed(unknowns, data, prior)
+        free = self.shooting.free(problem, unknowns, data, prior)
+        gain = 0.5 * problem.gradient @ solved(problem, free, jnp.zeros_like(unknowns.theta[0]))
+        p = self.size
+        counts = [
+            jnp.sum(present) * self.kalman.model.measurements[name].group.dimension
+            for name, present in data.rows.present.items()
+        ]
+        return ParameterEstimate(
+            params={box.name: unknowns.theta[self.places[box.name]].reshape(box.shape) for box in self.boxes},
+            x0={name: x[:, 0] for name, x in unknowns.starts.items()},
+            information=_less_starts(problem.of_data, free[:-p]),
+            prior_information=prior.information,
+            cost=problem.cost,
+            squares=problem.likelihood.squares,
+            residuals=sum(counts[1:], counts[0]),
+            gain=gain,
+            on_bound=~free[-p:],
+            iterations=iterations,
+            shapes=tuple((box.name, box.shape) for box in self.boxes),
+        )
+
+
+def _less_starts(N: jax.Array, unknown: jax.Array) -> jax.Array:
+    """The information on parameters less what unknown starts take of it, $N_pp - N_ps N_ss^+ N_sp$."""
+    s = unknown.size
+    values, vectors, scale = scaled_eigenvalues(N[:s, :s], unknown)
+    small = values <= 1e4 * float(jnp.finfo(N.dtype).eps)
+    half = jnp.where(small, 0.0, 1.0 / jnp.sqrt(jnp.where(small, 1.0, values)))
+    part = (half[:, None] * vectors.T * scale[None, :]) @ N[:s, s:]
+    reduced = N[s:, s:] - part.T @ part
+    return 0.5 * (reduced + reduced.T)
+
+
+def fit(
+    dynamics: Dynamics,
+    data: Any,
+    free: Any,
+    *,
+    measurements: Iterable[Measurement],
+    params: Values | None = None,
+    priors: Mapping[Any, Any] | None = None,
+    **options: Any,
+) -> ParameterEstimate:
+    """The parameters that make measured data most likely, with their covariance.
+
+    Data of the same shapes compiles once: the `MaximumLikelihood` of these arguments stays with the dynamics.
+
+    It minimises $1/2 sum_k (e_k^T S_k^-1 e_k + log det S_k)$, see `tx.estimation.MaximumLikelihood`.
+
+    Args:
+        dynamics: the compiled system.
+        data: a `tx.estimation.Experiment`, or a list of them.
+        free, measurements, priors, options: as of `tx.estimation.MaximumLikelihood`.
+        params: values of parameters in their units; of those that are free the values to begin with.
+    Raises:
+        ModelError, InputError, ShapeError: arguments that do not fit the system.
+        EstimationError: steps that do not converge, numbers that are not finite.
+
+    Warns: RuntimeWarning for an estimate on a bound.
+
+    Example: `tx.fit(dynamics, experiment, free={"length": (0.1, 2.0)}, measurements=[angle]).explain()`.
+
+    Source: Maine, Iliff, Identification of dynamic systems, NASA RP-1138 (1985).
+    """
+    need_compiled("fit", dynamics)
+    sensors = (measurements,) if isinstance(measurements, Measurement) else tuple(measurements)
+    key = ("fit", sensors, _key(free), _key(priors), _key(options))
+    make = lambda: MaximumLikelihood(dynamics, sensors, free, priors=priors, **options)  # noqa: E731
+    estimator: MaximumLikelihood = dynamics.functions.loops.get(key, make)
+    return estimator.run(data, params)
+
+
+def _key(value: Any) -> Any:
+    """What stands for options in a cache: names and numbers by value, other objects by identity."""
+    if isinstance(value, Mapping):
+        return tuple((name_of(key), _key(entry)) for key, entry in value.items())
+    if isinstance(value, (tuple, list)):
+        return tuple(map(_key, value))
+    if isinstance(value, np.ndarray):
+        return value.shape, value.tobytes()
+    return value.name if isinstance(value, Leaf) else value

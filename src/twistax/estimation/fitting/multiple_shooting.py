@@ -1,0 +1,258 @@
+"""Gauss-Newton steps of multiple shooting: states at the starts of segments are eliminated, bounds are kept."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from ...groups import Product
+from ...system.dynamics import Arrays
+from .experiment import SegmentedData, StartEstimate
+from .segments import Likelihood, LinearizedSegment, Segments, gap_and_slopes
+
+#: Eigenvalues of a scaled matrix below it count as zero, in units of the round-off: the step keeps such combinations.
+_SINGULAR = 1e4
+
+
+class Prior(NamedTuple):
+    """What is known of the parameters beforehand: their values (p,), the information (p, p), and limits (2, p)."""
+
+    mean: jax.Array
+    information: jax.Array
+    limits: jax.Array
+
+
+class Unknowns(NamedTuple):
+    """Starts of segments (experiments, segments, *shape), parameters (p,), and weights of gaps."""
+
+    starts: Arrays
+    theta: jax.Array
+    weights: jax.Array
+
+
+class Condensed(NamedTuple):
+    """The linearised problem in z = [starts of experiments (r n); theta (p)], gaps closed.
+
+    Attributes:
+        cost, likelihood: those of `ShootingSteps.cost`.
+        gradient, information: of the cost with its priors.
+        of_data: the information without the prior of parameters.
+        tangents: (experiments, segments, n, n + p + 1), the starts of segments $T [d_0; theta; 1]$.
+        segments: see `LinearizedSegment`.
+        gaps: their values and derivatives.
+    """
+
+    cost: jax.Array
+    likelihood: Likelihood
+    gradient: jax.Array
+    information: jax.Array
+    of_data: jax.Array
+    tangents: jax.Array
+    segments: LinearizedSegment
+    gaps: tuple[jax.Array, jax.Array, jax.Array]
+
+
+class ShootingSteps:
+    """The steps for records in segments.
+
+    The cost is the negative logarithm of the posterior density, and the end of each segment is the start of the next.
+    A step solves the problem with linearised residuals and gaps, by Fisher's information: the starts of later segments
+    are eliminated forward. It is accepted where the cost with weighted absolute gaps falls.
+
+    Source: Bock, Randwertproblemmethoden zur Parameteridentifizierung (1987); Albersmeyer, Diehl, The lifted Newton
+    method and its application in optimization, SIAM J. Optim. 20 (2010); bounds as in Bertsekas, Projected Newton
+    methods for optimization problems with simple constraints, SIAM J. Control Optim. 20 (1982).
+    """
+
+    def __init__(self, segments: Segments) -> None:
+        self.segments, self.group = segments, segments.model.group
+
+    # ---- cost --------------------------------------------------------------------------------------------------------
+
+    def cost(self, unknowns: Unknowns, data: SegmentedData, prior: Prior) -> tuple[jax.Array, jax.Array]:
+        """The negative logarithm of the posterior density, and the sum of weighted gaps."""
+
+        def one(starts: Arrays, rows: Any, start: StartEstimate) -> Any:
+            evaluate = lambda x, row: self.segments.likelihood(x, unknowns.theta, row, data.params, start.P0)  # noqa: E731
+            ends, likelihoods = jax.vmap(evaluate)(starts, rows)
+            gap = jax.vmap(lambda end, following: self.group.difference(following, end))(ends, _following(starts, ends))
+            _, e = _start_residual(self.group, start, _first(starts))
+            return likelihoods, gap, 0.5 * e @ start.information @ e
+
+        likelihoods, gaps, of_start = jax.vmap(one)(unknowns.starts, data.rows, data.starts)
+        total = jnp.sum(likelihoods.cost) + jnp.sum(of_start) + _of_prior(prior, unknowns.theta)
+        return total, jnp.sum(unknowns.weights * jnp.abs(gaps))
+
+    # ---- a step ------------------------------------------------------------------------------------------------------
+
+    def condensed(self, unknowns: Unknowns, data: SegmentedData, prior: Prior, closed: Any = 1.0) -> Condensed:
+        """The linearised problem about the unknowns, which closes a fraction of all gaps."""
+        n, p, theta = self.group.dimension, unknowns.theta.size, unknowns.theta
+        count = len(data.starts.unknown)
+
+        def one(starts: Arrays, rows: Any, start: StartEstimate) -> Any:
+            evaluate = lambda x, row: self.segments.linearized(x, theta, row, data.params, start.P0)  # noqa: E731
+            segments = jax.vmap(evaluate)(starts, rows)
+            following = _following(starts, segments.end)
+            gaps = jax.vmap(lambda end, x: gap_and_slopes(self.group, end, x))(segments.end, following)
+            g, N, tangents = _eliminated(segments, (gaps[0] * closed, *gaps[1:]))
+            slope, e = _start_residual(self.group, start, _first(starts))
+            g = g.at[:n].add(slope.T @ start.information @ e)
+            of_start = 0.5 * e @ start.information @ e, slope.T @ start.information @ slope
+            return g, N, of_start, tangents, segments, gaps
+
+        g, N, (costs, of_start), tangents, segments, gaps = jax.vmap(one)(unknowns.starts, data.rows, data.starts)
+        size = count * n + p
+        gradient, information = jnp.zeros(size, theta.dtype), jnp.zeros((size, size), theta.dtype)
+        last = jnp.arange(count * n, size)
+        for r in range(count):
+            places = jnp.concatenate([jnp.arange(r * n, (r + 1) * n), last])
+            gradient = gradient.at[places].add(g[r])
+            information = information.at[places[:, None], places].add(N[r])
+            information = information.at[places[:n, None], places[:n]].add(of_start[r])
+        of_data = information
+        gradient = gradient.at[last].add(prior.information @ (theta - prior.mean))
+        information = information.at[last[:, None], last].add(prior.information)
+        likelihood = jax.tree.map(jnp.sum, segments.likelihood)
+        cost = likelihood.cost + jnp.sum(costs) + _of_prior(prior, theta)
+        return Condensed(cost, likelihood, gradient, information, of_data, tangents, segments, gaps)
+
+    def free(self, problem: Condensed, unknowns: Unknowns, data: SegmentedData, prior: Prior) -> jax.Array:
+        """Which entries of z may move: not what is known, nor parameters that a bound holds against the gradient."""
+        slope = problem.gradient[-unknowns.theta.size :]
+        low, high = prior.limits
+        blocked = ((unknowns.theta <= low) & (slope > 0.0)) | ((unknowns.theta >= high) & (slope < 0.0))
+        return jnp.concatenate([data.starts.unknown.reshape(-1), ~blocked])
+
+    def tried(
+        self, unknowns: Unknowns, damping: jax.Array, data: SegmentedData, prior: Prior
+    ) -> tuple[Unknowns, jax.Array, jax.Array]:
+        """A step, whether it is better, and its size: the change of all residuals in standard deviations."""
+        n, p = self.group.dimension, unknowns.theta.size
+        # A damped step is short in all that it does.
+        problem = self.condensed(unknowns, data, prior, 1.0 / (1.0 + damping))
+        z = -solved(problem, self.free(problem, unknowns, data, prior), damping)
+        theta = jnp.clip(unknowns.theta + z[-p:], *prior.limits)
+        change = theta - unknowns.theta
+        first = z[:-p].reshape(-1, n)
+        ones = jnp.ones((len(first), 1), theta.dtype)
+        change_of_all = jnp.concatenate([first, jnp.broadcast_to(change, (len(first), p)), ones], axis=1)
+        d = jnp.einsum("rjnz,rz->rjn", problem.tangents, change_of_all)
+        starts = jax.vmap(jax.vmap(self.group.retract))(unknowns.starts, d)
+        both = jnp.concatenate([d, jnp.broadcast_to(change, (*d.shape[:2], p))], axis=2)
+        step = jnp.sqrt(jnp.einsum("rjp,rjpq,rjq->", both, problem.segments.information, both))
+        multipliers = jnp.abs(jax.vmap(_multipliers)(problem.segments, problem.gaps, both))
+        # They follow the multipliers down too: the first ones, of wrong parameters, would keep steps short for good.
+        weights = 1.1 * jnp.maximum(multipliers, 0.5 * (unknowns.weights + multipliers))
+        before = problem.cost + jnp.sum(weights * jnp.abs(problem.gaps[0]))
+        new = Unknowns(starts, theta, weights)
+        after = sum(self.cost(new, data, prior))
+        return new, after <= before + 16.0 * float(jnp.finfo(theta.dtype).eps) * jnp.abs(before), step
+
+    # ---- where a search begins ---------------------------------------------------------------------------------------
+
+    def simulated_starts(self, theta: jax.Array, data: SegmentedData) -> Arrays:
+        """The starts of segments of one simulation, but for those of which there is a guess."""
+
+        def one(x0: Arrays, rows: Any, guess: Arrays) -> Arrays:
+            def advance(x: Arrays, row: Any) -> tuple[Arrays, Arrays]:
+                segment, known = row
+                x = {name: jnp.where(jnp.isfinite(known[name]).all(), known[name], x[name]) for name in x}
+                end, _ = self.segments.simulated(x, theta, segment, data.params)
+                finite = jnp.stack([jnp.isfinite(a).all() for a in end.values()]).all()
+                return jax.tree.map(lambda a, b: jnp.where(finite, a, b), end, x0), x
+
+            return jax.lax.scan(advance, x0, (rows, guess))[1]
+
+        return jax.vmap(one)(data.starts.x, data.rows, data.guess)
+
+    def state_step(
+        self, x: Arrays, damping: jax.Array, theta: jax.Array, rows: Any, params: Arrays
+    ) -> tuple[Arrays, jax.Array, jax.Array]:
+        """A step of the start of one segment to its measurements alone, at constant parameters."""
+        n = self.group.dimension
+        segment = self.segments.linearized(x, theta, rows, params)
+        N, g = segment.information[:n, :n], segment.gradient[:n]
+        d = -damped_solve(N, g, jnp.ones(n, bool), damping)
+        new = self.group.retract(x, d)
+        _, after = self.segments.likelihood(new, theta, rows, params)
+        return new, after.cost <= segment.likelihood.cost, jnp.sqrt(d @ N @ d)
+
+
+def solved(problem: Condensed, free: jax.Array, damping: jax.Array) -> jax.Array:
+    """$(N + damping diag N)^+ g$ among the free entries."""
+    return damped_solve(problem.information, problem.gradient, free, damping)
+
+
+def damped_solve(N: jax.Array, g: jax.Array, free: jax.Array, damping: jax.Array) -> jax.Array:
+    """$(N + damping diag N)^+ g$ in entries scaled to a unit diagonal; zero in those that are not free."""
+    values, vectors, scale = scaled_eigenvalues(N, free)
+    small = values <= _SINGULAR * float(jnp.finfo(N.dtype).eps)
+    inverse = jnp.where(small, 0.0, 1.0 / jnp.where(small, 1.0, values + damping))
+    return scale * (vectors @ (inverse * (vectors.T @ (scale * jnp.where(free, g, 0.0)))))
+
+
+def scaled_eigenvalues(N: jax.Array, free: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Eigenvalues and eigenvectors of $D N D$ with a unit diagonal, and D, (n,): zero for entries that are not free."""
+    size = jnp.sqrt(jnp.where(free, jnp.diag(N), 0.0))
+    scale = jnp.where(size > 0.0, 1.0 / jnp.where(size > 0.0, size, 1.0), 0.0)
+    matrix = N * scale[:, None] * scale[None, :]
+    values, vectors = jnp.linalg.eigh(jnp.where(jnp.isfinite(matrix), matrix, 0.0))
+    return jnp.where(jnp.isfinite(matrix).all(), values, jnp.nan), vectors, scale
+
+
+def _of_prior(prior: Prior, theta: jax.Array) -> jax.Array:
+    e = theta - prior.mean
+    return 0.5 * e @ prior.information @ e
+
+
+def _first(starts: Arrays) -> Arrays:
+    return {name: x[0] for name, x in starts.items()}
+
+
+def _following(starts: Arrays, ends: Arrays) -> Arrays:
+    """The start after each segment; after the last one its end, without a gap."""
+    return {name: jnp.concatenate([x[1:], ends[name][-1:]]) for name, x in starts.items()}
+
+
+def _start_residual(group: Product, start: StartEstimate, x: Arrays) -> tuple[jax.Array, jax.Array]:
+    """The derivative (n, n) by x of the difference (n,) of a first state from its estimate, and the difference."""
+    e = group.difference(start.x, x)
+    return group.right_jacobian_inv(e), e
+
+
+def _eliminated(segments: LinearizedSegment, gaps: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """The gradient and information of an experiment in [d_0; theta], and the starts of its segments in them."""
+    n, q = segments.slope.shape[1:]
+    zero = jnp.zeros((), segments.slope.dtype)
+    parameters = jnp.eye(q, q + 1, dtype=zero.dtype)[n:]
+
+    def advance(carry: Any, row: Any) -> tuple[Any, jax.Array]:
+        T, g, N = carry
+        segment, (gap, by_start, by_end) = row
+        z = jnp.concatenate([T, parameters])
+        linear, constant = z[:, :-1], z[:, -1]
+        g = g + linear.T @ (segment.gradient + segment.information @ constant)
+        N = N + linear.T @ segment.information @ linear
+        end = by_end @ (segment.slope @ z)
+        return (-jnp.linalg.solve(by_start, end.at[:, -1].add(gap)), g, N), T
+
+    start = jnp.eye(n, q + 1, dtype=zero.dtype), jnp.zeros(q, zero.dtype), jnp.zeros((q, q), zero.dtype)
+    (_, g, N), tangents = jax.lax.scan(advance, start, (segments, gaps))
+    return g, N, tangents
+
+
+def _multipliers(segments: LinearizedSegment, gaps: Any, steps: jax.Array) -> jax.Array:
+    """The multipliers of the gaps (segments, n) after the steps (segments, q), backward; that of the last is zero."""
+    n = segments.slope.shape[1]
+
+    def back(after: jax.Array, row: Any) -> tuple[jax.Array, jax.Array]:
+        segment, (_, by_start, by_end), move = row
+        multiplier = -jnp.linalg.solve(by_start.T, after)
+        slope = segment.gradient + segment.information @ move
+        return slope[:n] + segment.slope[:, :n].T @ by_end.T @ multiplier, multiplier
+
+    nothing = jnp.zeros(n, steps.dtype)
+    return jax.lax.scan(back, nothing, (segments, gaps, steps), reverse=True)[1]
