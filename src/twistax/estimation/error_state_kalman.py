@@ -71,7 +71,7 @@ class ErrorStateKalman(Filter):
 
     def propagated(self, point: OperatingPoint, P: jax.Array, h: jax.Array) -> Prediction:
         x, transition, Q = self.model.step(point, h)
-        return Prediction(x, symmetric(transition @ P @ transition.T + Q), transition)
+        return Prediction(x, symmetric(transition @ symmetric(P) @ transition.T + Q), transition)
 
     def corrected(self, name: str, point: OperatingPoint, P: jax.Array, z: jax.Array, limit: float | None) -> Update:
         measured = self.model.measurements[name].group
@@ -113,4 +113,4 @@ class ErrorStateKalman(Filter):
 
     def after(self, measured: LinearMeasurement, P: jax.Array, limit: float | None) -> Update:
         """The estimate after a linearised measurement."""
-        return linear_update(self.model.group, measured, P, limit, self.reset)
+        return linear_update(self.model.group, measured, symmetric(P), limit, self.reset)

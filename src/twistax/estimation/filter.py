@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +17,7 @@ from ..errors import InputError, ModelError, ShapeError
 from ..jax_inside import is_traced
 from ..linear.labels import labels, tangent_shapes
 from ..progress import watching
+from ..scalar.kernel_function import KernelFunction
 from ..system.dynamics import Arrays, Dynamics
 from ..system.inputs import Values, precision
 from .filter_run import FilterRun, Innovations
@@ -88,7 +90,17 @@ class Filter(ABC):
         self.max_step, self.gate = max_step, gate
         self.limits = {name: _limit(gate, m.group.dimension) for name, m in self.model.measurements.items()}
 
+    @functools.cached_property
+    def in_arrays(self) -> Filter:
+        """The filter with all functions as operations of JAX, of which kernels and C are made."""
+        in_arrays = copy.copy(self)
+        in_arrays.model = self.model.in_arrays
+        return in_arrays
+
     # ---- what a filter is --------------------------------------------------------------------------------------------
+
+    #: Whether its algebra has a scalar form, so that steps are kernels, and C.
+    in_scalars: ClassVar[bool] = True
 
     @abstractmethod
     def propagated(self, point: OperatingPoint, P: jax.Array, h: jax.Array) -> Prediction:
@@ -105,6 +117,24 @@ class Filter(ABC):
     def multiplied(self, factor: jax.Array) -> jax.Array:
         """The covariance from that."""
         return factor
+
+    @functools.cached_property
+    def _propagated(self) -> Callable[[OperatingPoint, jax.Array, jax.Array], Prediction]:
+        """`propagated` as one kernel where it can be."""
+        if not (self.in_scalars and self.model.noise.in_scalars):
+            return self.propagated
+        return KernelFunction(self.in_arrays.propagated, self.model.dynamics.backend)
+
+    @functools.cached_property
+    def _corrected(self) -> Mapping[str, Callable[[OperatingPoint, jax.Array, jax.Array], Update]]:
+        """`corrected` of each measurement, as one kernel where it can be."""
+
+        def correction(name: str) -> Callable[[OperatingPoint, jax.Array, jax.Array], Update]:
+            of = self.in_arrays if self.in_scalars else self
+            function = lambda point, P, z: of.corrected(name, point, P, z, self.limits[name])  # noqa: E731
+            return KernelFunction(function, self.model.dynamics.backend) if self.in_scalars else function
+
+        return {name: correction(name) for name in self.limits}
 
     # ---- one step ----------------------------------------------------------------------------------------------------
 
@@ -273,7 +303,7 @@ class Filter(ABC):
         def advance(carry: Estimate, row: Any) -> tuple[Estimate, Any]:
             t, h, z, seen, u = row
             before = OperatingPoint(t - h, carry.x, u, params)
-            prior = self.propagated(before, carry.P, h)
+            prior = self._propagated(before, carry.P, h)
             x, P, updates = prior.x, prior.P, {}
             for name in z:
                 update = functools.partial(self._if_present, name, OperatingPoint(t, x, u, params), P, z[name])
@@ -296,18 +326,18 @@ class Filter(ABC):
 
     def _if_present(self, name: str, point: OperatingPoint, P: jax.Array, z: jax.Array, seen: jax.Array) -> Update:
         def skip() -> Update:
-            shapes = jax.eval_shape(lambda: self.corrected(name, point, P, z, self.limits[name]))
+            shapes = jax.eval_shape(self._corrected[name], point, P, z)
             zeros = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes)
             return zeros._replace(x=point.x, P=P)
 
-        return jax.lax.cond(seen, lambda: self.corrected(name, point, P, z, self.limits[name]), skip)
+        return jax.lax.cond(seen, lambda: self._corrected[name](point, P, z), skip)
 
     # ---- arguments ---------------------------------------------------------------------------------------------------
 
     @functools.cached_property
     def _jitted_predict(self) -> Callable[..., Prediction]:
         def predict(point: OperatingPoint, P: jax.Array, h: jax.Array) -> Prediction:
-            prediction = self.propagated(point, self.factored(P), h)
+            prediction = self._propagated(point, self.factored(P), h)
             return prediction._replace(P=self.multiplied(prediction.P))
 
         return jax.jit(predict)
@@ -319,7 +349,7 @@ class Filter(ABC):
             safe = jnp.where(known, z, self.model.measurements[name].group.identity(z.dtype))
             # Selected, not branched: so a batch of filters can be one kernel.
             factor = self.factored(P)
-            update = self.corrected(name, point, factor, safe, self.limits[name])
+            update = self._corrected[name](point, factor, safe)
             skipped = jax.tree.map(jnp.zeros_like, update)._replace(x=point.x, P=factor)
             update = jax.tree.map(lambda a, b: jnp.where(known, a, b), update, skipped)
             return update._replace(P=self.multiplied(update.P))

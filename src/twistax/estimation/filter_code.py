@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import re
 from pathlib import Path
 from typing import Any
@@ -14,31 +13,24 @@ import numpy as np
 from ..errors import ModelError
 from ..groups import Group
 from ..progress import watching
-from ..scalar.backends import JAX
-from ..system.dynamics import Dynamics
 from ..system.export import CFiles
 from ..system.export.c99 import write_functions
 from ..system.export.programs import TEST_STEP, ExportedFunction, Exporter, Port
 from .filter import Filter
-from .process_noise import VanLoan
 from .stochastic_model import OperatingPoint, StochasticModel
-from .update import symmetric
 
 
 @watching("export")
 def write_filter(kalman: Filter, directory: str | Path, *, name: str, dtype: Any, tolerance: float | None) -> CFiles:
     """Implements `ErrorStateKalman.to_c`, which documents the arguments."""
     model = kalman.model
-    if isinstance(model.noise, VanLoan):
+    if not model.noise.in_scalars:
         raise ModelError(
-            "to_c: the matrix exponential of VanLoan() has no scalar form.\n"
+            f"to_c: the matrix exponential of {model.noise} has no scalar form.\n"
             f"  fix: {type(kalman).__name__}(..., noise=tx.estimation.Trapezoidal())"
         )
     # As arrays all through: kernels have no form in C.
-    in_arrays = copy.copy(kalman)
-    in_arrays.model = StochasticModel(
-        Dynamics(model.dynamics.functions.run_by(JAX())), model.measurements.values(), model.method, model.noise
-    )
+    in_arrays = kalman.in_arrays
     exporter = Exporter(in_arrays.model.noisy.functions, np.dtype(dtype), without=model.noise_names)
     functions = [_prediction(in_arrays, exporter)]
     for measurement in model.measurements:
@@ -67,7 +59,7 @@ def _prediction(kalman: Filter, exporter: Exporter) -> ExportedFunction:
     states = _states(kalman.model)
 
     def predict(t: Any, x: Any, u: Any, params: Any, P: jax.Array, h: jax.Array) -> list[jax.Array]:
-        prediction = kalman.propagated(OperatingPoint(t, x, u, params), symmetric(P), h)
+        prediction = kalman.propagated(OperatingPoint(t, x, u, params), P, h)
         return [*(prediction.x[port.name] for port in states), prediction.P]
 
     return exporter.function(
@@ -80,7 +72,7 @@ def _update(kalman: Filter, exporter: Exporter, name: str) -> ExportedFunction:
     states, group = _states(kalman.model), kalman.model.measurements[name].group
 
     def update(t: Any, x: Any, u: Any, params: Any, P: jax.Array, z: jax.Array) -> list[jax.Array]:
-        updated = kalman.corrected(name, OperatingPoint(t, x, u, params), symmetric(P), z, kalman.limits[name])
+        updated = kalman.corrected(name, OperatingPoint(t, x, u, params), P, z, kalman.limits[name])
         return [*(updated.x[port.name] for port in states), updated.P, updated.nis]
 
     results = [*states, after, Port("nis", name, ())]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import TypeAlias
+from typing import ClassVar, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -22,6 +22,9 @@ class NoiseDiscretization(ABC):
     Raises: nothing.
     """
 
+    #: Whether it has a scalar form, so that a prediction is one kernel, and C.
+    in_scalars: ClassVar[bool] = True
+
     @abstractmethod
     def covariance(self, local: LocalNoise, transition: jax.Array, h: jax.Array) -> jax.Array:
         """Q (n, n) of a step of h seconds, by its transition matrix (n, n)."""
@@ -37,6 +40,8 @@ class VanLoan(NoiseDiscretization):
 
     Source: Van Loan, Computing integrals involving the matrix exponential, IEEE TAC 23 (1978), theorem 1.
     """
+
+    in_scalars = False
 
     def covariance(self, local: LocalNoise, transition: jax.Array, h: jax.Array) -> jax.Array:
         F, intensity = local(0.5)

@@ -35,6 +35,8 @@ class SquareRootKalman(ErrorStateKalman):
     Source: Kaminski, Bryson, Schmidt, Discrete square root filtering, IEEE TAC 16 (1971), eq. 35 and 42.
     """
 
+    in_scalars = False
+
     def to_c(self, directory: str | Path, **options: Any) -> CFiles:
         """Raises ModelError: a QR factorisation has no scalar form. `ErrorStateKalman` has code in C."""
         raise ModelError(

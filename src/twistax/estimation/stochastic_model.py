@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import functools
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -15,6 +16,8 @@ from ..expr import Control, Expr, Noise, State, leaves_of, substitute
 from ..integrators import RKMK, VectorField
 from ..linear.discretize import Controls, method_of, step_derivatives, value_and_jacobian
 from ..linear.linearize import around
+from ..scalar.backends import JAX
+from ..scalar.kernel_function import KernelFunction
 from ..system.dynamics import Arrays, Dynamics, compile, need_compiled
 from ..system.system import System
 from .measurement import Measurement
@@ -89,6 +92,20 @@ class StochasticModel:
         self._zeros = {noise.name: noise.shape for noise in noises}
         self.noise_names = tuple(self._zeros)
         self.controls = Controls(dynamics.controls)
+        self._kernels = dict[Any, Callable[..., Any]]()
+
+    @functools.cached_property
+    def in_arrays(self) -> StochasticModel:
+        """The model with all functions as operations of JAX, of which kernels and C are made."""
+        dynamics = Dynamics(self.dynamics.functions.run_by(JAX()))
+        return StochasticModel(dynamics, self.measurements.values(), self.method, self.noise)
+
+    def _kernel(self, name: str, *fixed: Any) -> Any:
+        """A method of the model in arrays as a kernel, with these first arguments."""
+        if (name, *fixed) not in self._kernels:
+            method = functools.partial(getattr(self.in_arrays, name), *fixed)
+            self._kernels[name, *fixed] = KernelFunction(method, self.dynamics.backend)
+        return self._kernels[name, *fixed]
 
     # ---- the state between measurements ------------------------------------------------------------------------------
 
@@ -97,10 +114,15 @@ class StochasticModel:
 
         Covariances are in the tangent space at the mean: P -> Phi P Phi^T + Q.
         """
+        x1, transition = self._kernel("transition")(point, h)
+        return x1, transition, self.process_noise(point, x1, transition, h)
+
+    def transition(self, point: OperatingPoint, h: jax.Array) -> tuple[Arrays, jax.Array]:
+        """The mean after h seconds with controls held, and the transition matrix."""
         t, x, u, params = point
         flat = self.controls.join(u, t.dtype)
         x1, transition, *_ = step_derivatives(self.dynamics, self.method, t, x, flat, h, params)
-        return x1, transition, self.process_noise(point, x1, transition, h)
+        return x1, transition
 
     def moved(self, point: OperatingPoint, h: jax.Array) -> Arrays:
         """The mean after h seconds."""
@@ -113,16 +135,20 @@ class StochasticModel:
         if not self.process:
             return jnp.zeros((self.dimension, self.dimension), point.t.dtype)
 
-        def local(fraction: float) -> tuple[jax.Array, jax.Array]:
-            """In the start, the middle or the end of the step."""
-            x = {0.0: point.x, 1.0: x1}.get(fraction)
-            if x is None:
-                x = self.group.retract(point.x, fraction * self.group.difference(point.x, x1))
-            at = point._replace(t=point.t + fraction * h, x=x)
-            F, G = self.linearized(at)
-            return F, G @ self.intensity(at, self.process) @ G.T
+        return self.noise.covariance(
+            lambda fraction: self._kernel("local_noise", fraction)(point, x1, h), transition, h
+        )
 
-        return self.noise.covariance(local, transition, h)
+    def local_noise(
+        self, fraction: float, point: OperatingPoint, x1: Arrays, h: jax.Array
+    ) -> tuple[jax.Array, jax.Array]:
+        """F and $G W G^T$ in the start, the middle or the end of a step."""
+        x = {0.0: point.x, 1.0: x1}.get(fraction)
+        if x is None:
+            x = self.group.retract(point.x, fraction * self.group.difference(point.x, x1))
+        at = point._replace(t=point.t + fraction * h, x=x)
+        F, G = self.linearized(at)
+        return F, G @ self.intensity(at, self.process) @ G.T
 
     def linearized(self, point: OperatingPoint) -> tuple[jax.Array, jax.Array]:
         """F and G of $d' = F d + G w$, d the right perturbation of the state."""

@@ -59,6 +59,9 @@ def _solve(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes]:
 
 # ---- loops and branches ----------------------------------------------------------------------------------------------
 
+#: What branches call the platforms with kernels.
+_PLATFORMS = {"cpu", "cuda", "gpu"}
+
 
 def _scan(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
     p = eqn.params
@@ -85,6 +88,8 @@ def _cond(reader: Reader, eqn: Any, index: Nodes, *operands: Nodes) -> list[Node
     number = g.numbers[int(index)]
     if number is not None:
         return reader.read(branches[int(np.clip(number, 0, len(branches) - 1))], operands)
+    if "branches_platforms" in eqn.params:
+        return None
     if sum(_equations(b.jaxpr) for b in branches) > g.limits.equations:
         return None
     before = len(g.calls)
@@ -96,6 +101,14 @@ def _cond(reader: Reader, eqn: Any, index: Nodes, *operands: Nodes) -> list[Node
         here = on(g, "le", int(index), g.constant(k, g.dtypes[int(index)]))
         last = [each(lambda a, b, here=here: g.select(here, a, b), x, y) for x, y in zip(cases[k], last, strict=True)]
     return last
+
+
+def _platform_index(reader: Reader, eqn: Any) -> list[Nodes] | None:
+    """The number of the branch of a platform. Kernels take that of all platforms, if no branch is for one of theirs."""
+    platforms = eqn.params["platforms"]
+    if None not in platforms or not _PLATFORMS.isdisjoint(name for names in platforms for name in names or ()):
+        return None
+    return [np.asarray(reader.graph.constant(platforms.index(None), np.dtype(np.int32)))]
 
 
 def _equations(jaxpr: Any) -> int:
@@ -156,8 +169,8 @@ _CONTROL = [
         f"{_SCAN} num_consts num_carry | {_SCAN} ft_in ft_out",  # JAX 0.10; 0.11 and later
         repeats=lambda eqn: eqn.params["length"],
     ),
-    # By platform it is not read.
-    moving("cond", _cond, "branches | branches branches_platforms", when=lambda p: "branches_platforms" not in p),
+    moving("cond", _cond, "branches | branches branches_platforms"),
+    moving("platform_index", _platform_index, "platforms"),
     moving("while", None, "body_jaxpr body_nconsts cond_jaxpr cond_nconsts"),
     # This package's own.
     TABLE_LOAD,

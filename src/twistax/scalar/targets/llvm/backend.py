@@ -263,6 +263,15 @@ class Native(Backend):
         reason = f"native: loops over arrays, {array_operations(closed.jaxpr).total():,} operations"
         return Emission(lambda *a: call_program(program, *a), None, reason, loops=True)
 
+    def kernels(self, closed: ClosedJaxpr, largest: int) -> Kernels | None:
+        return self._kernels_of(closed, lambda: self.scalars.scalars(closed, largest))
+
+    def _kernels_of(self, closed: ClosedJaxpr, scalars: Callable[[], ScalarProgram]) -> Kernels | None:
+        with contextlib.suppress(TooLarge):
+            derived = self._kernels(scalars())[0] if is_pure(closed) else None
+            return None if derived is None else derived.kernel
+        return None
+
     def derived(self, program: ScalarProgram) -> Derived:
         return self._kernels(program)[0] or Derived(program)
 
@@ -357,13 +366,11 @@ class Auto(Native):
     def _in_batches(self, closed: ClosedJaxpr, emission: Emission) -> Emission:
         """A function that runs as it is written alone, and as a kernel in batches."""
 
-        def scalars(closed: ClosedJaxpr) -> Kernels | None:
-            with contextlib.suppress(TooLarge):
-                derived = self._kernels(self.scalars.scalarised(closed))[0] if outweighs_memory(closed.jaxpr) else None
-                return None if derived is None else derived.kernel
-            return None
+        def kernels(closed: ClosedJaxpr) -> Kernels | None:
+            gains = outweighs_memory(closed.jaxpr)
+            return self._kernels_of(closed, lambda: self.scalars.scalarised(closed)) if gains else None
 
-        program = KernelOfArrays(closed, scalars)
+        program = KernelOfArrays(closed, kernels)
         function = lambda *a: emission.function(*a) if joins_program() else call_program(program, *a)  # noqa: E731
         reason = f"{emission.reason}; batches of {self.least:,} operations and more are kernels"
         return dataclasses.replace(emission, function=function, reason=reason)
