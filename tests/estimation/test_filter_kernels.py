@@ -1,0 +1,73 @@
+"""Steps of filters as kernels: the numbers of the same filter in arrays, in batches and in derivatives."""
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import twistax as tx
+from twistax.estimation import ErrorStateKalman, SquareRootKalman, Trapezoidal, UnscentedKalman, VanLoan
+
+pytest.importorskip("llvmlite")
+
+q, b = tx.State("q", group=tx.SO3), tx.State("b", shape=(3,))
+gyro = tx.Control("gyro", shape=(3,))
+noise = tx.Noise("n", shape=(3,), density=tx.Parameter("density", value=0.1))
+SATELLITE = tx.System(rates={q: gyro - b - noise, b: -0.1 * b})
+FIELD = tx.Measurement("field", q.T @ np.array([0.3, -0.2, 0.9]), covariance=0.01)
+KEYS = jax.random.split(jax.random.key(0), 16)
+FILTERS = [
+    pytest.param(ErrorStateKalman, Trapezoidal(), id="error state"),
+    pytest.param(UnscentedKalman, Trapezoidal(), id="unscented"),
+    pytest.param(ErrorStateKalman, VanLoan(), id="an exponential in the prediction"),
+    pytest.param(SquareRootKalman, Trapezoidal(), id="roots of covariances"),
+]
+
+
+def stepped(kalman: Any) -> Callable[[Any], Any]:
+    """A prediction and an update from a random estimate, reading and value."""
+
+    def step(key: Any) -> Any:
+        at, offset, root, reading, value = jax.random.normal(key, (5, 6, 6))
+        x, P = {"q": tx.SO3.exp(at[0, :3]), "b": offset[0, :3]}, 0.1 * root @ root.T
+        u = {"gyro": reading[0, :3]}
+        prediction = kalman.predict(0.0, x, P, 0.2, u)
+        update = kalman.update("field", 0.2, prediction.x, prediction.P, value[0, :3], u)
+        return update.x, update.P, update.nis, update.log_likelihood
+
+    return step
+
+
+@pytest.mark.parametrize(("kind", "noise"), FILTERS)
+def test_a_batch_has_the_numbers_of_arrays(kind: Any, noise: Any) -> None:
+    """Few operations are left to XLA where the algebra has a scalar form."""
+    results, lengths = [], []
+    for backend in (tx.Native(), tx.JAX()):
+        step = jax.jit(jax.vmap(stepped(kind(tx.compile(SATELLITE, backend=backend), [FIELD], noise=noise))))
+        results.append(step(KEYS))
+        lengths.append(len(step.lower(KEYS).as_text().splitlines()))
+    jax.tree.map(functools.partial(np.testing.assert_allclose, rtol=1e-10, atol=1e-12), *results)
+    if kind is not SquareRootKalman and isinstance(noise, Trapezoidal):
+        assert lengths[0] < 0.3 * lengths[1]
+
+
+@pytest.mark.thorough
+def test_derivatives_are_those_of_arrays() -> None:
+    """Forward and reverse, of the likelihood of records by the density of the noise."""
+    records = {"field": (np.array([0.1, 0.3, 0.4]), np.array([[0.3, 0.1, 0.8], [0.2, 0.2, 0.9], [np.nan] * 3]))}
+    start, u = {"q": np.eye(3), "b": np.zeros(3)}, {"gyro": np.array([0.4, -0.7, 1.1])}
+    slopes = []
+    for backend in (tx.Native(), tx.JAX()):
+        kalman = ErrorStateKalman(tx.compile(SATELLITE, backend=backend), [FIELD], noise=Trapezoidal())
+
+        def likelihood(density: Any, kalman: Any = kalman) -> Any:
+            return kalman.run(records, start, 0.1, t0=0.0, u=u, params={"density": density}).log_likelihood
+
+        slopes += [jax.jacfwd(likelihood)(jnp.asarray(0.2)), jax.grad(likelihood)(jnp.asarray(0.2))]
+        step = 1e-5
+        slopes.append((likelihood(0.2 + step) - likelihood(0.2 - step)) / (2.0 * step))
+    np.testing.assert_allclose(slopes, slopes[-2], rtol=1e-6)
