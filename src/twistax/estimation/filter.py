@@ -296,9 +296,13 @@ class Filter(ABC):
         )
 
     def scanned(
-        self, ts: Any, hs: Any, values: Any, present: Any, controls: Any, x0: Any, P0: Any, params: Any
+        self, rows: tuple[Any, ...], x0: Arrays, P0: jax.Array, params: Arrays
     ) -> tuple[Prediction, Estimate, dict[str, Update]]:
-        """The predictions, estimates and updates at all times, from the arguments of a run. They are prepared."""
+        """The predictions, estimates and updates at all times. Arguments are prepared.
+
+        Args:
+            rows: of each time: itself, the interval that ends there, values, which of them are present, and controls.
+        """
 
         def advance(carry: Estimate, row: Any) -> tuple[Estimate, Any]:
             t, h, z, seen, u = row
@@ -312,7 +316,7 @@ class Filter(ABC):
             prior = prior._replace(P=self.multiplied(prior.P))
             return Estimate(x, P), (prior, Estimate(x, self.multiplied(P)), updates)
 
-        return jax.lax.scan(advance, Estimate(x0, self.factored(P0)), (ts, hs, values, present, controls))[1]
+        return jax.lax.scan(advance, Estimate(x0, self.factored(P0)), rows)[1]
 
     @functools.cached_property
     def _scan(self) -> Callable[..., Any]:
@@ -320,7 +324,7 @@ class Filter(ABC):
 
         def run(stages: RunStages) -> Any:
             timeline, ts, hs, controls, x0, P0, params = stages
-            return jitted(ts, hs, timeline.values, timeline.present, controls, x0, P0, params)
+            return jitted((ts, hs, timeline.values, timeline.present, controls), x0, P0, params)
 
         return run
 

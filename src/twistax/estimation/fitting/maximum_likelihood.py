@@ -27,7 +27,7 @@ from ..measurement import Measurement, check_definite
 from ..process_noise import NoiseDiscretization
 from ..smoothers.levenberg_marquardt import levenberg_marquardt
 from .experiment import SegmentedData, experiments_of, segmented
-from .multiple_shooting import Prior, ShootingSteps, Unknowns, scaled_eigenvalues, solved
+from .multiple_shooting import Prior, SegmentUnknowns, ShootingSteps, scaled_eigenvalues, solved
 from .parameter_estimate import ParameterEstimate
 from .segments import Segments
 
@@ -196,7 +196,7 @@ class MaximumLikelihood:
             starts = self._to_measurements(starts, data, theta, tolerance)
         weights = jnp.zeros((experiments, segments, self.kalman.model.dimension), theta.dtype)
         tried = lambda unknowns, damping: self.shooting.tried(unknowns, damping, data, prior)  # noqa: E731
-        last = levenberg_marquardt(Unknowns(starts, theta, weights), tried, tolerance, self.max_iterations)
+        last = levenberg_marquardt(SegmentUnknowns(starts, theta, weights), tried, tolerance, self.max_iterations)
         return self._judged(last.value, last.iterations, data, prior)
 
     def _to_measurements(self, starts: Any, data: SegmentedData, theta: jax.Array, tolerance: jax.Array) -> Any:
@@ -216,12 +216,12 @@ class MaximumLikelihood:
 
         return jax.tree.map(chosen, fitted, starts)
 
-    def _judged(self, unknowns: Unknowns, iterations: jax.Array, data: SegmentedData, prior: Prior) -> Any:
+    def _judged(self, unknowns: SegmentUnknowns, iterations: jax.Array, data: SegmentedData, prior: Prior) -> Any:
         """The estimate, with its measures from one simulation of each experiment."""
         merged = lambda a: a.reshape(len(a), 1, -1, *a.shape[3:])  # noqa: E731
         data = data._replace(rows=jax.tree.map(merged, data.rows))
         first = lambda a: a[:, :1]  # noqa: E731
-        unknowns = Unknowns(jax.tree.map(first, unknowns.starts), unknowns.theta, first(unknowns.weights))
+        unknowns = SegmentUnknowns(jax.tree.map(first, unknowns.starts), unknowns.theta, first(unknowns.weights))
         problem = self.shooting.condensed(unknowns, data, prior)
         free = self.shooting.free(problem, unknowns, data, prior)
         gain = 0.5 * problem.gradient @ solved(problem, free, jnp.zeros_like(unknowns.theta[0]))

@@ -24,7 +24,7 @@ class Prior(NamedTuple):
     limits: jax.Array
 
 
-class Unknowns(NamedTuple):
+class SegmentUnknowns(NamedTuple):
     """Starts of segments (experiments, segments, *shape), parameters (p,), and weights of gaps."""
 
     starts: Arrays
@@ -71,7 +71,7 @@ class ShootingSteps:
 
     # ---- cost --------------------------------------------------------------------------------------------------------
 
-    def cost(self, unknowns: Unknowns, data: SegmentedData, prior: Prior) -> tuple[jax.Array, jax.Array]:
+    def cost(self, unknowns: SegmentUnknowns, data: SegmentedData, prior: Prior) -> tuple[jax.Array, jax.Array]:
         """The negative logarithm of the posterior density, and the sum of weighted gaps."""
 
         def one(starts: Arrays, rows: Any, start: StartEstimate) -> Any:
@@ -87,7 +87,7 @@ class ShootingSteps:
 
     # ---- a step ------------------------------------------------------------------------------------------------------
 
-    def condensed(self, unknowns: Unknowns, data: SegmentedData, prior: Prior, closed: Any = 1.0) -> Condensed:
+    def condensed(self, unknowns: SegmentUnknowns, data: SegmentedData, prior: Prior, closed: Any = 1.0) -> Condensed:
         """The linearised problem about the unknowns, which closes a fraction of all gaps."""
         n, p, theta = self.group.dimension, unknowns.theta.size, unknowns.theta
         count = len(data.starts.unknown)
@@ -119,7 +119,7 @@ class ShootingSteps:
         cost = likelihood.cost + jnp.sum(costs) + _of_prior(prior, theta)
         return Condensed(cost, likelihood, gradient, information, of_data, tangents, segments, gaps)
 
-    def free(self, problem: Condensed, unknowns: Unknowns, data: SegmentedData, prior: Prior) -> jax.Array:
+    def free(self, problem: Condensed, unknowns: SegmentUnknowns, data: SegmentedData, prior: Prior) -> jax.Array:
         """Which entries of z may move: not what is known, nor parameters that a bound holds against the gradient."""
         slope = problem.gradient[-unknowns.theta.size :]
         low, high = prior.limits
@@ -127,8 +127,8 @@ class ShootingSteps:
         return jnp.concatenate([data.starts.unknown.reshape(-1), ~blocked])
 
     def tried(
-        self, unknowns: Unknowns, damping: jax.Array, data: SegmentedData, prior: Prior
-    ) -> tuple[Unknowns, jax.Array, jax.Array]:
+        self, unknowns: SegmentUnknowns, damping: jax.Array, data: SegmentedData, prior: Prior
+    ) -> tuple[SegmentUnknowns, jax.Array, jax.Array]:
         """A step, whether it is better, and its size: the change of all residuals in standard deviations."""
         n, p = self.group.dimension, unknowns.theta.size
         # A damped step is short in all that it does.
@@ -147,7 +147,7 @@ class ShootingSteps:
         # They follow the multipliers down too: the first ones, of wrong parameters, would keep steps short for good.
         weights = 1.1 * jnp.maximum(multipliers, 0.5 * (unknowns.weights + multipliers))
         before = problem.cost + jnp.sum(weights * jnp.abs(problem.gaps[0]))
-        new = Unknowns(starts, theta, weights)
+        new = SegmentUnknowns(starts, theta, weights)
         after = sum(self.cost(new, data, prior))
         return new, after <= before + 16.0 * float(jnp.finfo(theta.dtype).eps) * jnp.abs(before), step
 

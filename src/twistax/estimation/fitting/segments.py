@@ -84,7 +84,7 @@ class Segments:
         if self.model.process:
             n = self.model.dimension
             start = jnp.zeros((n, n), theta.dtype) if P0 is None else P0
-            _, post, updates = self.kalman.scanned(*rows[:2], *rows[3:], rows.controls, x, start, values)
+            _, post, updates = self.kalman.scanned((*rows[:2], *rows[3:], rows.controls), x, start, values)
             end = {name: states[-1] for name, states in post.x.items()}
             sensed = {name: (update.residual, update.S) for name, update in updates.items()}
         else:

@@ -15,7 +15,7 @@ _DAMPING, _FACTOR, _MOST = 1e-2, 10.0, 1e8
 Tried = Callable[[Any, jax.Array], tuple[Any, jax.Array, jax.Array]]
 
 
-class Iterate(NamedTuple):
+class LeastSquaresIterate(NamedTuple):
     """The value of an iteration, any pytree, the damping of the next step, and the size of the last one."""
 
     value: Any
@@ -25,7 +25,7 @@ class Iterate(NamedTuple):
     done: jax.Array
 
 
-def levenberg_marquardt(start: Any, tried: Tried, tolerance: jax.Array, max_iterations: int) -> Iterate:
+def levenberg_marquardt(start: Any, tried: Tried, tolerance: jax.Array, max_iterations: int) -> LeastSquaresIterate:
     """The last iterate. A step is taken if it is better; the damping falls after it to zero, else it rises.
 
     Args:
@@ -36,11 +36,11 @@ def levenberg_marquardt(start: Any, tried: Tried, tolerance: jax.Array, max_iter
     """
     zero = jnp.zeros_like(tolerance)
 
-    def advance(iterate: Iterate) -> Iterate:
+    def advance(iterate: LeastSquaresIterate) -> LeastSquaresIterate:
         new, better, step = tried(iterate.value, iterate.damping)
         down = jnp.where(iterate.damping > _DAMPING, iterate.damping / _FACTOR, zero)
         up = jnp.maximum(iterate.damping * _FACTOR, jnp.asarray(_DAMPING, zero.dtype))
-        return Iterate(
+        return LeastSquaresIterate(
             jax.tree.map(lambda a, b: jnp.where(better, a, b), new, iterate.value),
             jnp.where(better, down, up),
             iterate.iterations + 1,
@@ -48,8 +48,8 @@ def levenberg_marquardt(start: Any, tried: Tried, tolerance: jax.Array, max_iter
             (step < tolerance) & (iterate.damping == 0.0),
         )
 
-    def going(iterate: Iterate) -> jax.Array:
+    def going(iterate: LeastSquaresIterate) -> jax.Array:
         return ~iterate.done & (iterate.iterations < max_iterations) & (iterate.damping < _MOST)
 
-    first = Iterate(start, zero, jnp.zeros((), jnp.int32), zero + jnp.inf, jnp.zeros((), bool))
+    first = LeastSquaresIterate(start, zero, jnp.zeros((), jnp.int32), zero + jnp.inf, jnp.zeros((), bool))
     return jax.lax.while_loop(going, advance, first)

@@ -167,7 +167,7 @@ def reach(
     shapes = tuple((name, value.shape[1:]) for name, value in arrays.items())
     options = SearchOptions(float(position_tolerance), float(angle_tolerance), iterations)
     named = tuple(constraints_by_name(constraints).items())
-    search = _Reacher.of(mechanism, shapes, float(length), options, seeds, candidates, tasks, secondary, named)
+    search = _Reacher.of(mechanism, shapes, float(length), options, (seeds, candidates), (tasks, secondary), named)
     first = None if start is None else _start(search.errors.space, start, leading)
     return jax.tree.map(lambda a: a.reshape(*leading, *a.shape[1:]), search(arrays, first))
 
@@ -239,13 +239,13 @@ class _Reacher:
         shapes: tuple[tuple[str, tuple[int, ...]], ...],
         length: float,
         options: SearchOptions,
-        seeds: int,
-        candidates: int,
-        tasks: tuple[Task, ...],
-        secondary: tuple[Task, ...],
+        starts: tuple[int, int],
+        tasks: tuple[tuple[Task, ...], tuple[Task, ...]],
         constraints: tuple[tuple[str, Any], ...],
     ) -> None:
-        self.errors = ReachErrors(mechanism, dict(shapes), length, tasks, secondary, dict(constraints))
+        """`starts`: the number of seeds, and of candidates for each; `tasks`: those of first and of second priority."""
+        self.errors = ReachErrors(mechanism, dict(shapes), length, *tasks, dict(constraints))
+        seeds, candidates = starts
         self._options, self._seeds = options, seeds
         self._frames = tuple(name for name, _ in shapes)
         sizes = self.errors.constraints.sizes

@@ -48,7 +48,7 @@ from .kernel import HostKernel, Kernel
 from .kernel_body import KernelBody, Straight, native_form
 from .machine_code import BuildError, Processor, installed
 from .self_test import check_kernel
-from .step_kernels import KernelSteps
+from .step_kernels import StepKernels
 
 #: An event of `jax.monitoring` for each kernel, with the seconds to make it or to read it from the cache.
 KERNEL_EVENT = "/twistax/kernel"
@@ -279,7 +279,7 @@ class Native(Backend):
         return _InLoops(self.scalars, self.threads, self.least)
 
     def steps(self) -> StepCompiler:
-        return KernelSteps(self.scalars, self.runner)
+        return StepKernels(self.scalars, self.runner)
 
     @property
     def widest(self) -> int:  # type: ignore[override]

@@ -24,7 +24,7 @@ from .machine_code import installed
 
 
 @dataclasses.dataclass(frozen=True)
-class KernelSteps(StepCompiler):
+class StepKernels(StepCompiler):
     """Steps as kernels, and as scalars where they have no native form."""
 
     scalars: XLA

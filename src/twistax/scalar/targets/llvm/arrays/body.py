@@ -26,7 +26,7 @@ from ..machine_code import Processor
 from ..pieces import STACK
 from .entrywise import Lazy, Value, broadcast, number
 from .equations import WRITERS
-from .matrices import Matrices
+from .matrices import MatrixWriter
 from .memory import View, steps
 
 #: Arrays of at most so many entries are scalars.
@@ -147,7 +147,7 @@ class ArrayBody(KernelBody):
         return [np.asarray(r).reshape(count, -1) for r in self._by_jax(*shaped)]
 
 
-class _Writer(Matrices):
+class _Writer(MatrixWriter):
     """Writes the equations of a function, arrays in memory and what is small as scalars."""
 
     def __init__(self, code: Code, form: ArrayForm) -> None:

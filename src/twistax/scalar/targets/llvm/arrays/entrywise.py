@@ -70,7 +70,7 @@ def broadcast(value: Value, shape: tuple[int, ...], axes: Sequence[int]) -> Valu
     return viewed(value, view, shape)
 
 
-class Entrywise(Loops):
+class EntryWriter(Loops):
     """Loops over what is computed entry by entry."""
 
     checked, precision = False, np.dtype(float)

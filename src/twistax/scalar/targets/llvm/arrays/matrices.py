@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 
 from ..code import NAMES, Code, NotNative
-from .entrywise import Entrywise, Lazy, Value, broadcast, number, viewed
+from .entrywise import EntryWriter, Lazy, Value, broadcast, number, viewed
 from .memory import View, collapsed, steps
 
 #: Sums of a product that are added up side by side: as many as hide how long one addition takes.
 _SUMS = 8
 
 
-class Matrices(Entrywise):
+class MatrixWriter(EntryWriter):
     """Loops over the entries of matrices."""
 
     # ---- products ------------------------------------------------------------------------------------------------
