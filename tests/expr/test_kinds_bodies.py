@@ -52,7 +52,7 @@ def test_right_sums_are_accepted(what: str) -> None:
 WRONG: dict[str, tuple[dict[tx.State, Any], str]] = {
     "a sum for a difference": ({T: Vb + IN_B}, "twists do not add up to one of a body"),
     "backwards": ({T: rel + IN_B - Vb - IN_B}, "fixed to two bodies"),
-    "the other body": ({gb: Vb, T: rel, Vb: solve(Mb, lie.SE3AdjointDual(lie.Inverse(T)) @ Wa)}, "another one"),
+    "the other body": ({gb: Vb, T: rel, Vb: solve(Mb, lie.SE3AdjointDual(lie.Inverse(T)) @ Wa)}, "another body"),
     "wrenches on two bodies": ({Va: solve(Ma, Wa + GRIP)}, "wrenches on two bodies are added"),
     "the twist of another body": (
         {ga: lie.SE3Adjoint(T) @ Vb, gb: lie.SE3Adjoint(lie.Inverse(T)) @ Va},

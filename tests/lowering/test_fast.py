@@ -394,15 +394,3 @@ def test_a_batch_of_factors_is_scalars() -> None:
     substituted = tx.fast(jax.vmap(lambda a, b: jax.scipy.linalg.solve_triangular(a, b, lower=True)))
     assert "operations" in substituted.explain(lower, right)
     np.testing.assert_allclose(substituted(lower, right), np.linalg.solve(lower, right[..., None])[..., 0], rtol=1e-12)
-
-
-def test_diagonals_and_traces_are_scalars() -> None:
-    """JAX writes them as a branch by platform."""
-
-    def function(a: jax.Array) -> jax.Array:
-        return jnp.diag(jnp.sin(a @ a)) + jnp.trace(jnp.cos(a) @ a)
-
-    a = jnp.asarray(np.random.default_rng(3).normal(size=(6, 6)))
-    assert "native" in tx.fast(function).explain(a)
-    np.testing.assert_allclose(tx.fast(function)(a), jax.jit(function)(a), rtol=1e-12)
-    np.testing.assert_allclose(jax.jacrev(tx.fast(function))(a), jax.jacfwd(function)(a), atol=1e-11)

@@ -83,3 +83,15 @@ def test_a_long_chain_is_scalars_although_its_placements_are_a_large_array() -> 
     np.testing.assert_allclose(tx.fast(placements)(q), placements(q), atol=1e-13)
     slope = tx.fast(jax.grad(lambda q: jnp.sum(placements(q) ** 2)))
     np.testing.assert_allclose(slope(q), jax.grad(lambda q: jnp.sum(placements(q) ** 2))(q), rtol=1e-9, atol=1e-9)
+
+
+def test_diagonals_and_traces_are_scalars() -> None:
+    """JAX writes them as a branch by platform."""
+
+    def function(a: jax.Array) -> jax.Array:
+        return jnp.diag(jnp.sin(a @ a)) + jnp.trace(jnp.cos(a) @ a)
+
+    a = jnp.asarray(np.random.default_rng(3).normal(size=(6, 6)))
+    assert "native" in tx.fast(function).explain(a)
+    np.testing.assert_allclose(tx.fast(function)(a), jax.jit(function)(a), rtol=1e-12)
+    np.testing.assert_allclose(jax.jacrev(tx.fast(function))(a), jax.jacfwd(function)(a), atol=1e-11)

@@ -147,7 +147,7 @@ def test_what_does_not_fit_is_refused() -> None:
     refused(ModelError, "the phases are: 'a', 'b'", initial={p: 0.0})
     refused(ModelError, "the phases are: 'a', 'b'", final_time={"c": 1.0})
     refused(TrajectoryError, "a: .*must fix the entries", initial={"a": {p: None}})
-    refused(TrajectoryError, "b: .*fixed: a number", final_time={"b": (1.0, 2.0)})
+    refused(TrajectoryError, "b: .*a number, because it is fixed", final_time={"b": (1.0, 2.0)})
     refused(ModelError, "b: guess names 'x'", guess={"b": {"x": 1.0}})
     refused(ModelError, "leaves free: none", free={"last": (0.0, 1.0)})
     refused(InputError, "unknown key 'x'", params={"x": 1.0})

@@ -280,14 +280,8 @@ class Filter(ABC):
         for name, update in updates.items():
             rows = timeline.rows[name]
             at = jax.tree.map(lambda a, rows=rows: a[rows], update)
-            innovations[name] = Innovations(
-                jnp.asarray(timeline.ts[rows], post.P.dtype),
-                at.residual,
-                at.S,
-                at.nis,
-                at.used,
-                timeline.present[name][rows],
-            )
+            ts, present = jnp.asarray(timeline.ts[rows], post.P.dtype), timeline.present[name][rows]
+            innovations[name] = Innovations(ts, at.residual, at.S, at.nis, at.used, present)
             total = total + jnp.sum(update.log_likelihood)
             information = information + update.information
         ts = jnp.asarray(timeline.ts, post.P.dtype)

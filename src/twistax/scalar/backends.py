@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from ..checks import instance, whole
 from ..errors import ModelError
 from ..jax_inside import ClosedJaxpr, Jaxpr, Literal, all_equations, inner_jaxprs, is_traced, jaxpr_as_fun, spread
-from .array_primitive import Kernels, on_any_mesh
+from .array_primitive import on_any_mesh
 from .graph import LIMITS, Limits, TooLarge
 from .jax_primitive import Derived, Differentiable, call_program
 from .loops import MakeKernel, Repeated, Ring
@@ -121,10 +121,6 @@ class Backend(ABC):
 
     def whole(self, closed: ClosedJaxpr) -> Emission | None:
         """A function with large arrays as one kernel; None: it has no such form, or batches of it may be faster."""
-        return None
-
-    def kernels(self, closed: ClosedJaxpr, largest: int) -> Kernels | None:
-        """Kernels of a function for one member and for batches; None: it has no scalar form, or a larger one."""
         return None
 
     def derived(self, program: ScalarProgram) -> Derived:

@@ -8,15 +8,12 @@ from typing import Any, Generic, TypeVar
 import jax
 import jax.numpy as jnp
 
-from ..jax_inside import of_one_device
-from .array_primitive import KernelOfArrays
+from ..jax_inside import ClosedJaxpr, jaxpr_as_fun, of_one_device
+from .array_primitive import KernelOfArrays, Kernels
 from .backends import Backend
 from .jax_primitive import call_program
 
 R = TypeVar("R")
-
-#: Functions of more scalar operations run as JAX has them: they would take a minute to compile.
-_LARGEST = 60_000
 
 
 class KernelFunction(Generic[R]):
@@ -56,5 +53,9 @@ class KernelFunction(Generic[R]):
 
         with of_one_device():
             closed = jax.make_jaxpr(flat)(*(jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) for leaf in leaves))
-        backend = self._backend
-        return KernelOfArrays(closed, lambda closed: backend.kernels(closed, _LARGEST), alone=True), forms[-1]
+        return KernelOfArrays(closed, self._kernels, alone=True), forms[-1]
+
+    def _kernels(self, closed: ClosedJaxpr) -> Kernels | None:
+        shapes = [jax.ShapeDtypeStruct(v.aval.shape, v.aval.dtype) for v in closed.jaxpr.invars]
+        derived = self._backend.steps().shared(jaxpr_as_fun(closed), shapes)
+        return None if derived is None else derived.kernel

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from twistax.scalar.array_primitive import BatchedByKernel
+from twistax.scalar.array_primitive import KernelOfArrays
 from twistax.scalar.jax_primitive import Derived, call_program
 from twistax.scalar.primitives.in_range import behind_barrier, norm, quotient
 from twistax.scalar.primitives.table import OPERATIONS
@@ -26,7 +26,7 @@ BEHIND = np.array([np.nan, -1.5])
 _PRODUCT = Derived(scalarize(lambda x: [x * x], jax.ShapeDtypeStruct((2,), float)))
 _BY_KERNEL = Derived(_PRODUCT.program, None, Native().runner)
 _SQUARED = jax.make_jaxpr(lambda x: [x * x])(jax.ShapeDtypeStruct((2,), float))
-_IN_BATCHES = BatchedByKernel(_SQUARED, lambda _: _BY_KERNEL)
+_IN_BATCHES = KernelOfArrays(_SQUARED, lambda _: _BY_KERNEL.kernel)
 
 
 @jax.custom_jvp
@@ -124,6 +124,7 @@ EXAMPLES: dict[str, tuple[Any, ...]] = {
     "custom_linear_solve": (lambda b: jnp.linalg.solve(jnp.asarray(SQUARE) + jnp.diag(b), b), REAL),
     "scan": (lambda a: lax.scan(lambda c, row: (c + row, c * row), a[0], a), REAL),
     "cond": (lambda a: lax.cond(a[0] > 0.0, jnp.sin, jnp.cos, a), REAL),
+    "platform_index": (lambda a: lax.platform_dependent(a, default=jnp.sin, tpu=jnp.cos), REAL),
     "while": (lambda a: lax.while_loop(lambda s: s[0] < 9.0, lambda s: 2.0 * s, a), REAL),
     "scalar_program": (lambda x: jax.jit(lambda y: call_program(_PRODUCT, y)[0])(x), REAL),
     "native_program": (lambda x: jax.jit(lambda y: call_program(_BY_KERNEL, y)[0])(x), REAL),

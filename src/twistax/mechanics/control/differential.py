@@ -91,8 +91,8 @@ class DifferentialController:
                     limits of position, speed and acceleration,
 
     with weights w, gains k and errors e of the tasks, and mu from their `damping`. It is called under `jit` and `vmap`
-    too. Positions are as `reach` and `tx.integrate` have them. Weights, gains, limits and dt are arguments of the
-    compiled function: `replace` changes them without compiling.
+    too. Positions are as `reach` and `tx.integrate` have them. Limits and dt are arguments of the compiled function:
+    `replace` changes them without compiling. Weights and gains are part of it.
 
     Source: S. Caron and others, Pink (2022), for the cost and the damping; O. Kanoun, F. Lamiraux, P. Wieber, Kinematic
     control of redundant manipulators, IEEE Transactions on Robotics 27 (2011), for limits in the program.

@@ -263,15 +263,6 @@ class Native(Backend):
         reason = f"native: loops over arrays, {array_operations(closed.jaxpr).total():,} operations"
         return Emission(lambda *a: call_program(program, *a), None, reason, loops=True)
 
-    def kernels(self, closed: ClosedJaxpr, largest: int) -> Kernels | None:
-        return self._kernels_of(closed, lambda: self.scalars.scalars(closed, largest))
-
-    def _kernels_of(self, closed: ClosedJaxpr, scalars: Callable[[], ScalarProgram]) -> Kernels | None:
-        with contextlib.suppress(TooLarge):
-            derived = self._kernels(scalars())[0] if is_pure(closed) else None
-            return None if derived is None else derived.kernel
-        return None
-
     def derived(self, program: ScalarProgram) -> Derived:
         return self._kernels(program)[0] or Derived(program)
 
@@ -367,8 +358,10 @@ class Auto(Native):
         """A function that runs as it is written alone, and as a kernel in batches."""
 
         def kernels(closed: ClosedJaxpr) -> Kernels | None:
-            gains = outweighs_memory(closed.jaxpr)
-            return self._kernels_of(closed, lambda: self.scalars.scalarised(closed)) if gains else None
+            with contextlib.suppress(TooLarge):
+                derived = self._kernels(self.scalars.scalarised(closed))[0] if outweighs_memory(closed.jaxpr) else None
+                return None if derived is None else derived.kernel
+            return None
 
         program = KernelOfArrays(closed, kernels)
         function = lambda *a: emission.function(*a) if joins_program() else call_program(program, *a)  # noqa: E731
