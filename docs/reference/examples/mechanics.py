@@ -129,3 +129,49 @@ from twistax.mechanics import HalfSpace, chain_models, signed_distance
 arm = chain_models.panda()
 height = signed_distance(tx.view.Sphere(0.1), HalfSpace(), arm.pose("joint7"))
 tx.lower(height)(0.0, {"q": np.zeros(7)})  # m
+
+# tx.mechanics.ConvexPolytope tx.mechanics.DistanceGrid
+from twistax.mechanics import ConvexPolytope, DistanceGrid, HalfSpace, chain_models, signed_distance
+
+arm, corners = chain_models.panda(), [[0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, 0.0, 0.1], [0.0, 0.0, -0.1]]
+height = signed_distance(ConvexPolytope(corners), HalfSpace(), arm.pose("joint7"))
+axis = np.linspace(-1.0, 1.0, 5)
+x, y, z = np.meshgrid(axis, axis, axis, indexing="ij")
+ball = DistanceGrid((axis, axis, axis), np.sqrt(x**2 + y**2 + z**2) - 0.3)
+gap = signed_distance(tx.view.Sphere(0.1), ball, arm.pose("joint7"))
+tx.lower(height)(0.0, {"q": np.zeros(7)}), tx.lower(gap)(0.0, {"q": np.zeros(7)})  # m
+
+# tx.mechanics.Task tx.mechanics.RelativeFrameTask tx.mechanics.LookAtTask tx.mechanics.OrientationTask
+from twistax import mechanics
+
+arm = mechanics.chain_models.panda()
+tasks = [
+    mechanics.PositionTask("joint7", [0.4, 0.1, 0.5]),
+    mechanics.OrientationTask("joint7", np.diag([1.0, -1.0, -1.0]), weight=0.1),
+    mechanics.RelativeFrameTask("joint7", "joint3", weight=0.0),
+    mechanics.LookAtTask("joint5", target=[1.0, 0.0, 0.0], weight=0.1),
+]
+[isinstance(task, mechanics.Task) for task in tasks], tasks[0].error(arm), tasks[0].jacobian(arm).shape
+
+# tx.mechanics.CenterOfMassTask tx.mechanics.MomentumTask
+from twistax import mechanics
+
+arm = mechanics.chain_models.panda()
+tasks = [mechanics.CenterOfMassTask([0.0, 0.0, 0.4], weight=1e-2), mechanics.MomentumTask(np.zeros(6), weight=1e-2)]
+[task.jacobian(arm).shape for task in tasks]
+
+# tx.mechanics.JointLimitTask tx.mechanics.ManipulabilityTask
+from twistax import mechanics
+
+arm = mechanics.chain_models.panda()
+tasks = [mechanics.JointLimitTask(weight=1e-2), mechanics.ManipulabilityTask("joint7", weight=1e-2)]
+[task.error(arm).shape for task in tasks]
+
+# tx.mechanics.OperationalSpace tx.mechanics.DifferentialStep
+from twistax import mechanics
+
+arm, q = mechanics.chain_models.panda(), np.array([0.0, -0.6, 0.0, -2.2, 0.0, 1.6, 0.8])
+space = mechanics.operational_space(arm, mechanics.PositionTask("joint7", [0.4, 0.1, 0.5]).jacobian(arm))
+controller = mechanics.DifferentialController(arm, [mechanics.PostureTask(q)], dt=0.01)
+step = controller({"q": np.zeros(7)})
+tx.lower(space.inertia)(0.0, {"q": q}), step.qd
