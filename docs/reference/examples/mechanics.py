@@ -164,7 +164,7 @@ tasks = [mechanics.CenterOfMassTask([0.0, 0.0, 0.4], weight=1e-2), mechanics.Mom
 from twistax import mechanics
 
 arm = mechanics.chain_models.equal_links(3)
-arm = arm.replace(drives={joint.name: mechanics.Drive(lower=-1.0, upper=1.0) for joint in arm.joints})
+arm = arm.replace(drives={name: mechanics.Drive(lower=-1.0, upper=1.0) for name in arm.joints})
 tasks = [mechanics.JointLimitTask(weight=1e-2), mechanics.ManipulabilityTask("joint2", weight=1e-2)]
 [task.error(arm).shape for task in tasks]
 
