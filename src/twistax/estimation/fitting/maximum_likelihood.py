@@ -301,6 +301,6 @@ def _key(value: Any) -> Any:
         return tuple((name_of(key), _key(entry)) for key, entry in value.items())
     if isinstance(value, (tuple, list)):
         return tuple(map(_key, value))
-    if isinstance(value, np.ndarray):
-        return value.shape, value.tobytes()
+    if isinstance(value, (np.ndarray, jax.Array)):
+        return value.shape, np.asarray(value).tobytes()
     return value.name if isinstance(value, Leaf) else value
