@@ -61,6 +61,7 @@ def test_constraints_are_kept_or_named() -> None:
     assert both.broken()
 
 
+@pytest.mark.slow
 def test_a_panda_reaches_over_a_shelf_in_batches() -> None:
     arm = mechanics.load(EXAMPLES / "panda.urdf")
     shelf = Box((0.4, 1.2, 0.04), at=(0.6, 0.0, 0.35))
