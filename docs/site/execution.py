@@ -31,8 +31,6 @@ BLOCK = re.compile(r"^```python\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 #: Pages that are one program: each goes on where the one before ends.
 _PAGES = ("body", "rollout", "optimal", "c_code", "flight_code", "estimator")
 TUTORIAL = [DOCS / "tutorial" / f"{name}.md" for name in _PAGES]
-    DOCS / "tutorial" / f"{name}.md" for name in ("body", "rollout", "optimal", "c_code", "flight_code", "estimator")
-]
 #: Arguments of a script under which it prints the same in less time.
 BRIEF = {"small_matrices": ("--repeat", "1")}
 #: What a block prints is cut after this many lines.
