@@ -113,7 +113,6 @@ class Core:
     def of_hull(cls, hull: Any, at: NDArray[np.float64], radius: float) -> Core:
         """Of a `scipy.spatial.ConvexHull`; edges within a face are left out."""
         points, triangles, planes = hull.points, hull.simplices, hull.equations
-        size = float(np.ptp(points, axis=0).max())
         edges = []
         for i, near in enumerate(hull.neighbors):
             for k, j in enumerate(near):  # the neighbour opposite to corner k
@@ -124,7 +123,6 @@ class Core:
             if not any(np.abs(plane[:3] - planes[j, :3]).max() < _SMALL for j in kept):
                 kept.append(i)
         corners = points[np.sort(hull.vertices)]
-        assert size > 0.0
         return cls(at, corners, np.array(edges), points[triangles], planes[kept, :3], -planes[kept, 3], radius)
 
     @classmethod
