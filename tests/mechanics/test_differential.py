@@ -1,5 +1,6 @@
 """Differential controllers: beside pink and a quadratic program, within limits, in programs of JAX, in C."""
 
+import dataclasses
 import shutil
 import subprocess
 from pathlib import Path
@@ -127,6 +128,26 @@ def test_limits_of_acceleration_stop_a_joint_at_its_limit() -> None:
     assert np.isclose(late.qd[0], 1.5 - 0.03)
     back = controller({"q": np.array([0.8])}, far, qd=np.zeros(1))
     assert back.qd[0] < 0.0  # beyond its limit
+
+
+def test_other_weights_and_gains_compile_nothing() -> None:
+    x = {"q": np.array([0.2])}
+    to_zero, to_one = PostureTask(np.zeros(1), gain=3.0), PositionTask("slide", np.array([1.0, 0.0, 0.0]), gain=3.0)
+    controller = DifferentialController(slide(), [to_zero, to_one], dt=0.01)
+    assert np.isclose(controller(x).qd[0], 3.0 * (0.5 - 0.2))
+    quick, heavy = dataclasses.replace(to_zero, gain=6.0), dataclasses.replace(to_one, weight=3.0)
+    events: list[str] = []
+    listen = lambda event, seconds, **_: events.append(event)  # noqa: E731
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    try:
+        step = controller.replace(tasks=[quick, heavy])(x)
+    finally:
+        jax.monitoring.unregister_event_duration_listener(listen)
+    assert not [event for event in events if "compile" in event]
+    assert np.isclose(step.qd[0], (6.0 * -0.2 + 9.0 * 3.0 * 0.8) / 10.0)
+    assert np.isclose(controller(x).qd[0], 3.0 * (0.5 - 0.2))
+    with pytest.raises(ModelError, match="another weight"):
+        controller.replace(tasks=[heavy, quick])
 
 
 def test_what_cannot_be_done_is_named() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import dataclasses
 import enum
 import functools
@@ -91,8 +92,8 @@ class DifferentialController:
                     limits of position, speed and acceleration,
 
     with weights w, gains k and errors e of the tasks, and mu from their `damping`. It is called under `jit` and `vmap`
-    too. Positions are as `reach` and `tx.integrate` have them. Limits and dt are arguments of the compiled function:
-    `replace` changes them without compiling. Weights and gains are part of it.
+    too. Positions are as `reach` and `tx.integrate` have them. Weights, gains, limits and dt are arguments of the
+    compiled function: `replace` changes them without compiling.
 
     Source: S. Caron and others, Pink (2022), for the cost and the damping; O. Kanoun, F. Lamiraux, P. Wieber, Kinematic
     control of redundant manipulators, IEEE Transactions on Robotics 27 (2011), for limits in the program.
@@ -149,15 +150,24 @@ class DifferentialController:
         self._call = jax.jit(self._step)
         self._compiled = False
 
-    def replace(self, **changes: Any) -> DifferentialController:
+    def replace(
+        self, *, tasks: Iterable[Task] | None = None, equalities: Iterable[Task] | None = None, **changes: Any
+    ) -> DifferentialController:
         """A copy with other `dt`, `speed`, `acceleration`, `limit_gain`, `constraint_gain` or `regularization`.
 
-        Nothing is compiled anew, but where limits of acceleration come or go. Raises InputError.
+        Nothing is compiled anew, but where limits of acceleration come or go.
+
+        Args:
+            tasks, equalities: those of the controller with other weights, gains or damping, by `dataclasses.replace`.
+        Raises: InputError; ModelError for other tasks.
         """
-        copy: DifferentialController = object.__new__(type(self))
-        copy.__dict__.update(self.__dict__)
-        copy.settings = _Settings(self, **{**self.settings.arguments, **changes})
-        return copy
+        owner, controller = "DifferentialController", copy.copy(self)
+        if tasks is not None:
+            controller.tasks = self.tasks.with_numbers(owner, tasks)
+        if equalities is not None:
+            controller.equalities = self.equalities.with_numbers(owner, equalities)
+        controller.settings = _Settings(controller, **{**self.settings.arguments, **changes})
+        return controller
 
     def __call__(
         self,

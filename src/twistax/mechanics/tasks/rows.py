@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -16,7 +18,7 @@ from ...expr.operations.comparisons import Constraint, Inequality
 from ...system.lower import lower
 from ...system.system import constraints_by_name
 from .configuration_space import Arrays, ConfigurationSpace
-from .task import Task
+from .task import NUMBERS, Task
 
 
 class TaskRows:
@@ -43,12 +45,27 @@ class TaskRows:
                     f"{owner}: {kind} has an error {e.shape} and a Jacobian {J.shape}; expected (m,), (m, {self._dofs})"
                 )
         self.sizes = [e.shape[0] for e in errors]
+        self._read_numbers()
+        self.expressions = (Concat(*errors), Vstack(*jacobians)) if errors else None
+        self._lowered = lower(list(self.expressions)) if self.expressions else None
+
+    def _read_numbers(self) -> None:
         pairs = list(zip(self.tasks, self.sizes, strict=True))
         self.weights = np.concatenate([np.zeros(0), *(task.weights(size) for task, size in pairs)])
         self.gains = np.repeat([np.nan if task.gain is None else task.gain for task in self.tasks], self.sizes)
         self.damping = np.repeat([float(task.damping) for task in self.tasks], self.sizes)
-        self.expressions = (Concat(*errors), Vstack(*jacobians)) if errors else None
-        self._lowered = lower(list(self.expressions)) if self.expressions else None
+
+    def with_numbers(self, owner: str, tasks: Iterable[Task]) -> TaskRows:
+        """The same rows with the weights, gains and damping of other tasks. Raises ModelError where more differs."""
+        rows = copy.copy(self)
+        rows.tasks = tuple(tasks)
+        if list(map(_program, rows.tasks)) != list(map(_program, self.tasks)):
+            raise ModelError(
+                f"{owner}: replace expects the tasks of the controller with another weight, gain or damping.\n"
+                "  fix: dataclasses.replace(task, weight=...); a new controller for other tasks"
+            )
+        rows._read_numbers()
+        return rows
 
     def __call__(self, x: Arrays, u: Arrays, params: Arrays) -> tuple[jax.Array, jax.Array]:
         """e (m,) and J (m, n)."""
@@ -56,6 +73,14 @@ class TaskRows:
             return jnp.zeros(0, dtype_of(x)), jnp.zeros((0, self._dofs), dtype_of(x))
         e, J = self._lowered(0.0, x, *of_leaves(leaves_of(*(self.expressions or ())), u, params))
         return e, J
+
+
+def _program(task: Any) -> Any:
+    """What a task is but for its numbers: its class, and the objects that it holds."""
+    if not isinstance(task, Task):
+        return task
+    names = [field.name for field in dataclasses.fields(task) if field.name not in NUMBERS]
+    return type(task), tuple((name, id(getattr(task, name))) for name in names)
 
 
 class ConstraintRows:

@@ -16,6 +16,9 @@ from ...expr.fields import ExprLike
 from ..arguments import of_shape, pose
 from ..kinematic_tree import KinematicTree
 
+#: The fields of a task that are numbers in the compiled function of a controller.
+NUMBERS = ("weight", "gain", "damping")
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Task(abc.ABC):
@@ -41,7 +44,7 @@ class Task(abc.ABC):
     damping: float = dataclasses.field(default=0.0, kw_only=True)
 
     def __post_init__(self) -> None:
-        for name in ("weight", "gain", "damping"):
+        for name in NUMBERS:
             value = getattr(self, name)
             if value is None and name == "gain":
                 continue
