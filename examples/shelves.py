@@ -39,7 +39,7 @@ for k in range(800):
 
 ends = [errors[200 * k - 1] for k in range(1, 5)]
 print("left to the points (mm):", *(f"{1e3 * e:.2f}" for e in ends))
-print(f"the arm stays {1e3 * min(gaps):.1f} mm from the boards, where 20 mm are asked for")
+print(f"the arm stays {1e3 * min(gaps):.1f} mm from the boards, where 20 mm are required")
 if max(ends[:3]) > 2e-3 or min(gaps) < 0.018:
     raise SystemExit("three points are reached, clear of the boards")
 

@@ -14,7 +14,7 @@ from ..system import name_of
 
 
 def limits_of(box: Control) -> np.ndarray:
-    """(entries, 2) the limits of a leaf, infinite where there is none."""
+    """(entries, 2) the limits of a leaf, infinite without a limit."""
     ends = [np.full(box.shape, far) if end is None else end for end, far in ((box.min, -np.inf), (box.max, np.inf))]
     return np.stack([np.ravel(end) for end in ends], axis=1)
 

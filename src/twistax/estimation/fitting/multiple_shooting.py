@@ -154,7 +154,7 @@ class ShootingSteps:
     # ---- where a search begins ---------------------------------------------------------------------------------------
 
     def simulated_starts(self, theta: jax.Array, data: SegmentedData) -> Arrays:
-        """The starts of segments of one simulation, but for those of which there is a guess."""
+        """The simulated starts of segments; a start with a guess keeps it."""
 
         def one(x0: Arrays, rows: Any, guess: Arrays) -> Arrays:
             def advance(x: Arrays, row: Any) -> tuple[Arrays, Arrays]:

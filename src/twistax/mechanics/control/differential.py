@@ -105,7 +105,7 @@ class DifferentialController:
         equalities: tasks that are done exactly, such as feet that stay where they are; their weights do not count.
         constraints: inequalities of positions, such as {"table": signed_distance(...) >= 0.02}, as for `tx.System`.
         speed: limits of velocities, a number or (n,); None: those of the joints.
-        acceleration: limits, a number or (n,), infinite where there is none; None: no limits.
+        acceleration: limits, a number or (n,), infinite without a limit; None: no limits.
         limit_gain: the share of the distance to a limit that a step may take, where acceleration has no limit.
         constraint_gain: $k_c$, 1/s; None: half of 1/dt.
         regularization: added to the diagonal of the Hessian, so that velocities which no task needs are zero.

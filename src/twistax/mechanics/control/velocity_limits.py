@@ -38,7 +38,7 @@ def velocity_bounds(
 
     Args:
         qd: present velocities (n,); None without a limit of acceleration.
-        speed: (n,), infinite where there is none.
+        speed: (n,), infinite without a limit.
         acceleration: (n,), likewise.
     """
     dtype = speed.dtype

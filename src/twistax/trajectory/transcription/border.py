@@ -41,7 +41,7 @@ class Border:
 
     @functools.cached_property
     def limits(self) -> Array:
-        """(g, 2), infinite where there is none."""
+        """(g, 2), infinite without a limit."""
         return np.concatenate([np.reshape(self.time_limits, (-1, 2)), *map(limits_of, self.boxes)])
 
     @property
