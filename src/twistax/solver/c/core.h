@@ -54,7 +54,7 @@ typedef struct {
   const int32_t *equalities;  /* (N + 1) rows of e_k */
   const int32_t *point_states; /* (N + 1) entries of z_k, or NULL where z_k is x_k */
   const int32_t *flat;        /* of v: where z has the entry itself, or -1; NULL: nowhere. Those bounded by 0 are kept equal */
-  const double *lower, *upper; /* of v; infinite without a limit; equal where an entry of x_0, u or p is fixed */
+  const double *lower, *upper; /* of v; infinite where there is none; equal where an entry of x_0, u or p is fixed */
   const double *size;         /* of v: units in which the core counts, or NULL for 1 */
   const double *row_size, *equality_size; /* units of the rows h and e, or NULL for 1 */
   double cost_size;           /* unit of the cost */
