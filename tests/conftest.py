@@ -139,9 +139,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         names = {name, name.partition("[")[0], name.partition("::")[0]}
         if item.get_closest_marker("slow"):
             continue
+        if names & set(tiers["slow"]["tests"]):
+            item.add_marker("slow")
+            continue
         for tier in ("thorough", "smoke"):
             if names & set(tiers[tier]["tests"]):
                 item.add_marker(tier)
+    # What takes longest begins, so that no process works alone in the end.
+    items.sort(key=lambda item: item.path.name not in tiers["first"]["files"])
 
 
 def pytest_collection_finish() -> None:

@@ -310,7 +310,7 @@ def test_a_name_that_is_none_says_where_it_is(name: str, fix: str) -> None:
     assert twistax._where_else("scenes") == ".\n  fix: import twistax.scenes"
 
 
-@pytest.mark.parametrize("tier", ["smoke", "thorough"])
+@pytest.mark.parametrize("tier", ["smoke", "thorough", "slow"])
 def test_a_tier_names_tests_that_exist(tier: str) -> None:
     tests = Path(__file__).parent
     named = tomllib.loads((tests / "tiers.toml").read_text())[tier]["tests"]

@@ -15,7 +15,7 @@ EXAMPLES = sorted(path.stem for path in (ROOT / "examples").glob("*.py"))
 PAGES = " ".join(path.stem for path in sorted((ROOT / "docs" / "gallery").glob("*.md")) if path.stem != "index")
 GALLERY = [name for names in results.gallery_pages(PAGES).values() for name in names]
 #: Processes that share the examples: JAX is imported once in each, and workers take them side by side.
-SHARES = 4
+SHARES = 8
 
 
 @pytest.mark.parametrize("share", range(SHARES))
