@@ -42,18 +42,20 @@ PROGRAMS = [[page] for page in PAGES if page not in TUTORIAL] + [TUTORIAL]
 RUN = [pages for pages in PROGRAMS if execution.page_program(*pages).blocks]
 
 
+def name_of(pages: list[Path]) -> str:
+    return str(pages[0].relative_to(ROOT))
+
+
 #: Pages that one process runs: it imports JAX once.
 SHARE = 6
 
 
-@pytest.mark.parametrize("pages", RUN, ids=lambda pages: str(pages[0].relative_to(ROOT)))
+@pytest.mark.parametrize("pages", RUN, ids=name_of)
 def test_code_blocks_run(pages: list[Path], request: pytest.FixtureRequest) -> None:
     """As a user runs them; the site shows what they print and draw."""
-    programs = [
-        execution.page_program(*item.callspec.params["pages"])
-        for item in request.session.items
-        if isinstance(item, pytest.Function) and item.originalname == "test_code_blocks_run"
-    ]
+    names = {item.nodeid for item in request.session.items}
+    here = request.node.nodeid.partition("[")[0]
+    programs = [execution.page_program(*run) for run in RUN if f"{here}[{name_of(run)}]" in names]
     program = execution.page_program(*pages)
     first = programs.index(program) // SHARE * SHARE
     execution.execute(programs[first : first + SHARE])
@@ -62,7 +64,7 @@ def test_code_blocks_run(pages: list[Path], request: pytest.FixtureRequest) -> N
 
 def test_the_smoke_tier_has_the_readme() -> None:
     """By the name that its test has, which must not depend on where the checkout is."""
-    names = [str(pages[0].relative_to(ROOT)) for pages in RUN]
+    names = [name_of(pages) for pages in RUN]
     smoke = tomllib.loads((ROOT / "tests/tiers.toml").read_text())["smoke"]["tests"]
     assert "test_docs.py::test_code_blocks_run[README.md]" in smoke
     assert names[0] == "README.md"
