@@ -12,6 +12,7 @@ import pytest
 
 import twistax as tx
 from twistax.scalar.reader import scalarize
+from twistax.scalar.targets.cuda import columns
 from twistax.scalar.targets.cuda import driver as cuda
 from twistax.scalar.targets.cuda import kernel as cuda_kernel
 from twistax.scalar.targets.cuda.kernel import CudaKernel
@@ -124,7 +125,7 @@ def device(monkeypatch: pytest.MonkeyPatch) -> _Device:
     for module in (cuda, cuda_kernel):
         monkeypatch.setattr(module, "driver", lambda: found)
     monkeypatch.setattr(cuda, "_ordinals", lambda: [0, 1])
-    monkeypatch.setattr(cuda_kernel, "assembled", lambda module, text: text)
+    monkeypatch.setattr(cuda_kernel, "assembled", lambda module, text, loops: text)
     monkeypatch.setattr(self_test, "_CALLED", {"cpu", "cuda"})
     return found
 
@@ -174,8 +175,36 @@ def test_what_fails_leaves_nothing_behind(name: str, device: _Device) -> None:
     assert not device.current_contexts
 
 
+def test_columns_of_a_large_program_are_kernels_each(device: _Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(columns, "MOST_OPERATIONS", 20)
+    shapes = [jax.ShapeDtypeStruct((5,), np.dtype(float))]
+    program = native_form(scalarize(lambda x: [jax.numpy.outer(x + 1.0, jax.numpy.exp(x)), 3.0 * x], *shapes))
+    made = columns.parts(program)
+    assert len(made) > 1
+    assert all(part.operations <= 20 for part in made)
+    x = np.random.default_rng(0).normal(size=(70, 5))
+
+    def kernel(part: Any) -> Any:
+        body = Straight(part, 1)
+
+        def run(rows: int, *arguments: Any) -> list[Any]:
+            found = dict(zip(body.written, CudaKernel(body).run([arguments[k] for k in body.read]), strict=True))
+            return [
+                found[k].reshape(rows, *a.shape) if k in found else np.zeros((rows, *a.shape))
+                for k, a in enumerate(body.results)
+            ]
+
+        return run
+
+    outer, tripled = columns.joined([kernel(part) for part in made])(70, x)
+    np.testing.assert_allclose(outer, (x[:, :, None] + 1.0) * np.exp(x)[:, None, :], rtol=1e-14)
+    np.testing.assert_allclose(tripled, 3.0 * x, rtol=1e-15)
+    monkeypatch.setattr(columns, "MOST_REPEATED", 0.5)
+    assert columns.parts(program) == [program]
+
+
 def test_a_kernel_that_is_wrong_is_not_used(device: _Device, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cuda_kernel, "assembled", lambda module, text: text.replace("fcmp ogt", "fcmp olt"))
+    monkeypatch.setattr(cuda_kernel, "assembled", lambda module, text, loops: text.replace("fcmp ogt", "fcmp olt"))
     with pytest.raises(BuildError, match="differ from those of NumPy"):
         self_test.check_kernel(_made(3.5))
 

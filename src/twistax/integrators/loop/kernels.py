@@ -87,7 +87,7 @@ def _types(leaves: list[Any]) -> tuple[jax.ShapeDtypeStruct, ...]:
 class KernelSteps(NamedTuple):
     """Steps of fixed lengths of a method on a system, with inputs of some types, all in one call."""
 
-    repeated: Repeated  # the step on flat arrays
+    repeated: Repeated  # the step on flat arrays, the state in one
     evaluations: int  # of the right-hand side in a step
 
     def run(
@@ -96,9 +96,9 @@ class KernelSteps(NamedTuple):
         """Steps `first` to `stop` - 1, or until a state is not finite: the last finite state, and the number of its
         step.
         """
-        leaves, structure = jax.tree.flatten(state)
-        results, count, _ = repeat(self.repeated, first, stop, jax.tree.leaves((grid, stepper)), leaves)
-        return jax.tree.unflatten(structure, results), count
+        packed = Packed.of(state)
+        (flat,), count, _ = repeat(self.repeated, first, stop, jax.tree.leaves((grid, stepper)), [packed.flat])
+        return packed.read(flat), count
 
 
 def kernel_steps(
@@ -109,24 +109,27 @@ def kernel_steps(
     Args:
         state: the stored state, what the method carries, and the slopes of the last step, where steps are sampled.
     """
-    leaves, structure = jax.tree.flatten((number, (grid, stepper), state))
-    types, count = _types(leaves), len(jax.tree.leaves(state))
+    packed = Packed.of(state)
+    leaves, structure = jax.tree.flatten((number, (grid, stepper)))
+    of_state, form = jax.tree.flatten(state)
+    types, parts = _types([*leaves, packed.flat]), _types(of_state)
 
     def make() -> KernelSteps | None:
         attempts: list[StepAttempt] = []
 
         def step(*leaves: jax.Array) -> list[jax.Array]:
-            k, (grid, stepper), state = jax.tree.unflatten(structure, leaves)
+            k, (grid, stepper) = jax.tree.unflatten(structure, leaves[:-1])
+            state = packed.read(leaves[-1])
             attempts.append(grid.attempt(stepper.in_arrays, k, state))
-            return jax.tree.leaves((attempts[-1].y, attempts[-1].carry, state[2] and attempts[-1].slopes))
+            return [Packed.of((attempts[-1].y, attempts[-1].carry, state[2] and attempts[-1].slopes)).flat]
 
-        repeated = stepper.dynamics.backend.steps().repeated(step, types, count)
+        repeated = stepper.dynamics.backend.steps().repeated(step, types, 1)
         # A kernel cannot report that the equations of a step were not solved.
         if repeated is None or attempts[-1].solved is not None or not isinstance(attempts[-1].evaluations, int):
             return None
         return KernelSteps(repeated, attempts[-1].evaluations)
 
-    return _made(stepper, state[:2], (kernel_steps, structure, types), make)
+    return _made(stepper, state[:2], (kernel_steps, structure, form, types, parts), make)
 
 
 def kernel_tries(

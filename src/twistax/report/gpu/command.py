@@ -29,11 +29,13 @@ def run(arguments: argparse.Namespace) -> int:
     (folder / _ROWS).unlink(missing_ok=True)
     begin, failed = time.perf_counter(), []
     with tempfile.TemporaryDirectory() as cache:
-        for name, (_, most) in SECTIONS.items():
+        for name, section in SECTIONS.items():
             left = _BUDGET - (time.perf_counter() - begin)
             lap = time.perf_counter()
             print(f"== {name}", flush=True)
-            ended = _child(name, folder, cache, min(most, left)) if left > 10.0 else "not measured: the time is over"
+            ended = "not measured: the time is over"
+            if left > 10.0:
+                ended = _child(name, folder, cache, min(section.seconds, left))
             print(f"== {name}: {ended}, {time.perf_counter() - lap:.1f} s", flush=True)
             if ended != "done":
                 failed.append(name)
@@ -43,11 +45,12 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _child(name: str, folder: Path, cache: str, seconds: float) -> str:
     """How the process of a section ended."""
-    environment = {**os.environ, "XLA_PYTHON_CLIENT_PREALLOCATE": "false", "TWISTAX_CACHE": cache}
-    if "with" in name:
-        environment["TWISTAX_CACHE"] = f"{cache}/{name.removesuffix(', again')}"
-    if "without" in name:
-        environment["JAX_PLATFORMS"] = "cpu"
+    from .sections import SECTIONS
+
+    # Without what other processes compiled, twistax or the driver.
+    environment = {**os.environ, "TWISTAX_CACHE": cache, "CUDA_CACHE_PATH": str(Path(cache, "driver"))}
+    environment["XLA_PYTHON_CLIENT_PREALLOCATE"] = "false"
+    environment.update(SECTIONS[name].environment)
     process = subprocess.Popen([sys.executable, "-u", "-c", _CHILD, str(folder), name], env=environment)
     try:
         code = process.wait(seconds)
@@ -66,12 +69,11 @@ def measure(folder: str, name: str) -> None:
     from ...scalar.targets.llvm.backend import TARGETS
     from .sections import SECTIONS
 
-    rows, _ = SECTIONS[name]
-    if "without" not in name and not TARGETS["cuda"].present:
+    if not TARGETS["cuda"].present:
         print("  not measured: JAX has no CUDA device here", flush=True)
         return
     with (Path(folder) / _ROWS).open("a") as file:
-        for row in rows():
+        for row in SECTIONS[name].rows():
             file.write(json.dumps({"section": name, **dataclasses.asdict(row)}) + "\n")
             file.flush()
             print(f"  {row.what:<58} {row.by:<26} {row.value:.4g} {row.unit}".rstrip(), flush=True)

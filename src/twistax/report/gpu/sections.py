@@ -5,9 +5,14 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import functools
+import os
+import tempfile
 import time
 import traceback
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import jax
@@ -20,8 +25,9 @@ from ...scalar.targets.cuda import kernel as cuda_kernel
 from ...scalar.targets.cuda.driver import driver
 from ...scalar.targets.cuda.ptx import libdevice
 from ...scalar.targets.llvm.backend import KERNEL_EVENT
-from ..sections import flights, problems
+from . import beside as beside_a_device
 from . import cases
+from .peers import PEERS
 
 KERNELS, BY_XLA = tx.Native(), tx.XLA()
 BATCH, LARGE = 65_536, 1_048_576
@@ -263,40 +269,113 @@ def blocks() -> Rows:
             yield from (dataclasses.replace(row, by=f"{threads} threads") for row in timed)
 
 
-# ---- beside a device -------------------------------------------------------------------------------------------------
+# ---- beside others ---------------------------------------------------------------------------------------------------
 
 
-def on_cpu() -> Rows:
-    """Kernels of the CPU and the solver, with a device beside it or without."""
-    by = "with a GPU" if any(device.platform == "gpu" for device in jax.devices()) else "without"
-    with jax.default_device(jax.local_devices(backend="cpu")[0]):
-        function, arguments = jax.jit(cases.rollout(KERNELS)), (cases.bodies(4096, np.float64),)
-        _, best = _seconds(function, *arguments, repeats=5)
-        yield Row("rollout on the CPU, 4,096", by, best / 4096 / cases.STEPS * 1e9, "ns a body and step")
-        _, best = _seconds(jax.jit(cases.accelerations(KERNELS)), *cases.joints(4096, np.float64))
-        yield Row("ABA on the CPU, 4,096", by, best / 4096 * 1e9, "ns a body")
-    for what, make in (("cart-pole", problems.cart_pole), ("quadrotor", flights.quadrotor)):
-        yield from _tried(functools.partial(_solved, what, make, by))
+def peers() -> Rows:
+    """Other packages, with their values against those of kernels."""
+    jax.config.update("jax_enable_x64", False)
+    jax.config.update("jax_default_matmul_precision", "highest")  # else products of matrices have 10 bits
+    function = jax.jit(cases.accelerations(KERNELS))
+    for package, make in PEERS.items():
+        try:
+            name, batch = make()
+        except ImportError as error:
+            print(f"  {package}: not measured: {error}", flush=True)
+            continue
+        for count in (4096, BATCH):
+            yield from _tried(functools.partial(_beside_peer, name, batch, function, count))
 
 
-def _solved(what: str, make: Callable[[], Any], by: str) -> Rows:
-    problem = make()
-    first, best = _seconds(lambda: problem.solve().cost, repeats=20)
-    yield Row(f"solve, {what}", by, best * 1e3, "ms")
-    yield Row(f"first solve, {what}", by, first, "s")
+def _beside_peer(name: str, batch: Any, function: Any, count: int) -> Rows:
+    arguments = _placed(cases.joints(count, np.float32), "cuda")
+    compiled, result, first = _compiled(jax.jit(batch), arguments)
+    yield Row(f"values, {count:,}", name, _difference(result, function(*arguments)), "relative to kernels")
+    _, best = _seconds(compiled, *arguments)
+    yield Row(f"ABA of the Panda, {count:,}, float32", name, best / count * 1e9, "ns a body")
+    yield Row(f"first call, ABA of the Panda, {count:,}, float32", name, first.all, "s")
 
 
-#: By name, each with the most seconds that it may take.
-SECTIONS: Mapping[str, tuple[Callable[[], Rows], float]] = {
-    "machine": (machine, 60.0),
-    "values": (values, 120.0),
-    "arms": (arms, 100.0),
-    "adaptive": (adaptive, 100.0),
-    # Twice each in turns: the first time nothing is cached.
-    "with": (on_cpu, 40.0),
-    "without": (on_cpu, 40.0),
-    "with, again": (on_cpu, 40.0),
-    "without, again": (on_cpu, 40.0),
-    "blocks": (blocks, 60.0),
-    "rollouts": (rollouts, 60.0),
+def beside() -> Rows:
+    """Kernels of the CPU and the solver, with a device in the process or without."""
+    yield from (Row(*row) for row in beside_a_device.measured())
+
+
+# ---- what XLA does with them -----------------------------------------------------------------------------------------
+
+
+def sharded() -> Rows:
+    """A batch over a mesh of all devices of this process."""
+    devices = jax.local_devices(backend="cuda")
+    yield Row("devices in the mesh", "", float(len(devices)), "")
+    mesh = jax.sharding.Mesh(np.array(devices), ("members",))
+    spec = jax.sharding.PartitionSpec("members")
+    for what, batch, arguments, steps in (
+        ("ABA of the Panda", cases.accelerations(KERNELS), cases.joints(BATCH, np.float32), 1),
+        ("RKMK4", cases.rollout(KERNELS), _states(BATCH, np.float32), cases.STEPS),
+    ):
+        expected = jax.jit(batch)(*_placed(arguments, "cuda"))
+        placed = jax.device_put(arguments, jax.sharding.NamedSharding(mesh, spec))
+        inside = jax.shard_map(batch, mesh=mesh, in_specs=spec, out_specs=spec)
+        for how, function in (("shard_map", inside), ("jit, arrays that are distributed", batch)):
+            compiled = jax.jit(function)
+            result = compiled(*placed)
+            yield Row(
+                f"values, {what}, {BATCH:,}, float32", how, _difference(result, expected), "relative to one device"
+            )
+            _, best = _seconds(compiled, *placed)
+            yield Row(f"{what}, {BATCH:,}, float32", how, best / BATCH / steps * 1e9, "ns a body")
+
+
+def graphs() -> Rows:
+    """Whether XLA starts kernels by CUDA graphs: what CUDA is called for, and times of short kernels."""
+    flags = os.environ.get("XLA_FLAGS", "XLA's options")
+    count = 256
+    for what, batch, steps in (
+        ("100 calls in a jit", cases.calls, 100),
+        ("200 steps in a scan", cases.steps_in_scan, 200),
+    ):
+        arguments = _placed(cases.joints(count, np.float32), "cuda")
+        compiled, _, _ = _compiled(jax.jit(batch(KERNELS)), arguments)
+        _, best = _seconds(compiled, *arguments, repeats=30)
+        yield Row(f"{what}, {count}, float32", flags, best / steps * 1e6, "us a step")
+        with tempfile.TemporaryDirectory() as folder:
+            with jax.profiler.trace(folder):
+                jax.block_until_ready(compiled(*arguments))
+            (file,) = Path(folder).rglob("*.xplane.pb")
+            events = _events(file)
+        for name in ("cuGraphLaunch", "cuLaunchKernel"):
+            starts = sum(number for event, number in events.items() if event.startswith(name))
+            yield Row(f"{what}, {count}, float32", f"{name}, {flags}", float(starts), "in a call")
+
+
+def _events(file: Path) -> Counter[str]:
+    """Events of a profile, by name."""
+    profile = jax.profiler.ProfileData.from_file(str(file))
+    return Counter(event.name for plane in profile.planes for line in plane.lines for event in line.events)
+
+
+class Section(NamedTuple):
+    """Rows, the most seconds that they may take, and variables of the environment of their process."""
+
+    rows: Callable[[], Rows]
+    seconds: float
+    environment: Mapping[str, str] = MappingProxyType({})
+
+
+_GRAPHS = "--xla_gpu_enable_command_buffer="
+
+SECTIONS: Mapping[str, Section] = {
+    "machine": Section(machine, 60.0),
+    "values": Section(values, 120.0),
+    "arms": Section(arms, 100.0),
+    "adaptive": Section(adaptive, 100.0),
+    "rollouts": Section(rollouts, 60.0),
+    "peers": Section(peers, 60.0),
+    "beside": Section(beside, 90.0),
+    "sharded": Section(sharded, 30.0),
+    "graphs": Section(graphs, 30.0),
+    "graphs, none": Section(graphs, 30.0, {"XLA_FLAGS": _GRAPHS}),
+    "graphs, loops too": Section(graphs, 30.0, {"XLA_FLAGS": f"{_GRAPHS}FUSION,CUBLAS,CUBLASLT,CUSTOM_CALL,WHILE"}),
+    "blocks": Section(blocks, 60.0),
 }

@@ -14,8 +14,8 @@ from ... import kernel_cache as cache
 from ...kernel_cache import version
 from ..llvm.code import Module
 from ..llvm.handler import write_device_handler
-from ..llvm.kernel import CodeHandle, HostCodeHandle, Kernel, digest, named
-from ..llvm.kernel_body import KernelBody
+from ..llvm.kernel import CodeHandle, HostCodeHandle, Kernel, digest, is_in_use, named
+from ..llvm.kernel_body import KernelBody, Straight
 from ..llvm.machine_code import Processor
 from .driver import DeviceCode, driver
 from .ptx import ENTRY, assembled, device, write_kernel
@@ -43,7 +43,7 @@ class _DeviceCodeHandle:
         ptx = cache.kept(self._key)
         self._unchecked = None
         if ptx is None:
-            ptx = self._unchecked = assembled(module, text).encode()
+            ptx = self._unchecked = assembled(module, text, not isinstance(body, Straight)).encode()
         processor = Processor.host()
         around = Module(processor)
         write_device_handler(around, body, BLOCK)
@@ -77,12 +77,15 @@ class CudaKernel(Kernel):
         module = Module(device(driver().capability))
         write_kernel(module, body)
         text = module.text()
+        target = named(f"{text}; {BLOCK}", module.processor)
+        # Outside of the lock of all kernels, so that the driver assembles several at once.
+        self._made = None if is_in_use(target) else _DeviceCodeHandle(target, module, text, body)
         self._parts = module, text, body
-        super().__init__(body, named(f"{text}; {BLOCK}", module.processor))
-        del self._parts
+        super().__init__(body, target)
+        del self._parts, self._made
 
     def _make_handle(self) -> CodeHandle:
-        return _DeviceCodeHandle(self.target, *self._parts)
+        return self._made or _DeviceCodeHandle(self.target, *self._parts)
 
     def run(self, arguments: Sequence[NDArray[Any]], length: int = 0) -> list[NDArray[Any]]:
         rows, arrays = self._arrays(arguments, length)

@@ -77,9 +77,11 @@ def write_kernel(module: Module, body: BatchFunction) -> None:
     )
 
 
-def assembled(module: Module, text: str) -> str:
+def assembled(module: Module, text: str, loops: bool = True) -> str:
     """The PTX of a module's text.
 
+    Args:
+        loops: it has some. In straight code LLVM's passes find next to nothing, and take half of the time.
     Raises:
         ImportError: llvmlite is not installed.
         BuildError: LLVM refuses the text, or has no such target; a function of the C library has no counterpart.
@@ -100,8 +102,10 @@ def assembled(module: Module, text: str) -> str:
             parsed = llvm.parse_assembly(head + text, context)
             parsed.verify()
             if module.library:
-                _link_library(parsed, context)
-            passes = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=3))
+                _link_library(parsed, context, machine)
+            passes = llvm.create_pass_builder(
+                machine, llvm.create_pipeline_tuning_options(speed_level=3 if loops else 0)
+            )
             passes.getModulePassManager().run(parsed, passes)
             code: str = machine.emit_assembly(parsed)
         except RuntimeError as error:
@@ -109,24 +113,44 @@ def assembled(module: Module, text: str) -> str:
     return code
 
 
-def _link_library(parsed: Any, context: Any) -> None:
+def _link_library(parsed: Any, context: Any, machine: Any) -> None:
     """Add the functions of CUDA's library of mathematics that a module calls."""
     import llvmlite.binding as llvm
 
     path = libdevice()
+    wanted = sorted(f.name for f in parsed.functions if f.is_declaration and f.name.startswith("__nv_"))
     if path is None:
-        called = ", ".join(f.name.removeprefix("__nv_") for f in parsed.functions if f.name.startswith("__nv_"))
+        called = ", ".join(name.removeprefix("__nv_") for name in wanted)
         raise BuildError(f"it calls {called}; CUDA's libdevice.10.bc, which has them, is not installed")
-    library = llvm.parse_bitcode(path.read_bytes(), context)
+    library = llvm.parse_bitcode(_of_library(path, tuple(wanted), machine), context)
     library.triple, library.data_layout = parsed.triple, parsed.data_layout
     defined = {f.name for f in parsed.functions if not f.is_declaration}
-    wanted = {f.name for f in parsed.functions if f.is_declaration and f.name.startswith("__nv_")}
     parsed.link_in(library)
     for function in parsed.functions:
         if function.is_declaration and function.name in wanted:
             raise BuildError(f"CUDA's libdevice.10.bc has no {function.name.removeprefix('__nv_')}")
         if not function.is_declaration and function.name not in defined:
             function.linkage = "internal"
+
+
+#: The parts of the library that were needed, as bitcode: reading all of it takes longer than compiling a small kernel.
+_PARTS: dict[tuple[Path, tuple[str, ...]], bytes] = {}
+
+
+def _of_library(path: Path, names: tuple[str, ...], machine: Any) -> bytes:
+    """The functions of the library with these names, and what they call."""
+    import llvmlite.binding as llvm
+
+    if (path, names) not in _PARTS:
+        library = llvm.parse_bitcode(path.read_bytes(), llvm.create_context())
+        for function in library.functions:
+            if not function.is_declaration and function.name not in names:
+                function.linkage = "internal"
+        passes = llvm.create_new_module_pass_manager()
+        passes.add_global_dead_code_eliminate_pass()
+        passes.run(library, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options()))
+        _PARTS[path, names] = library.as_bitcode()
+    return _PARTS[path, names]
 
 
 def libdevice() -> Path | None:

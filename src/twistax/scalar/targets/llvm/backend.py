@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import concurrent.futures
 import contextlib
 import dataclasses
 import functools
@@ -39,6 +40,7 @@ from ...jax_primitive import Derived, call_program
 from ...program import Rows, ScalarProgram
 from ...small_call import joins_program
 from ...walk import uncollected
+from ..cuda.columns import joined, parts
 from ..cuda.driver import driver
 from ..cuda.kernel import CudaKernel
 from ..cuda.ptx import libdevice
@@ -74,6 +76,10 @@ class Target(ABC):
     @abstractmethod
     def note(self) -> str:
         """How native programs run here, for `explain`; empty on the processor."""
+
+    def parts(self, program: ScalarProgram) -> list[ScalarProgram]:
+        """Programs, each for some columns of the results, that are a kernel each."""
+        return [program]
 
     @abstractmethod
     def kernel(
@@ -119,6 +125,9 @@ class Cuda(Target):
         rest = "" if libdevice() else ", but by XLA where they call the C library: libdevice.10.bc is not installed"
         return f"in threads on CUDA devices of capability {major}.{minor}{rest}"
 
+    def parts(self, program: ScalarProgram) -> list[ScalarProgram]:
+        return parts(program)
+
     def kernel(
         self, kind: type[KernelBody], form: Any, more: tuple[Any, ...], single: bool, threads: int | None
     ) -> Kernel:
@@ -158,7 +167,15 @@ class KernelRunner:
             form = native_form(program) if known is program else known
         except NotNative:
             return None
-        return self.built(Straight, form, (), single, platform)
+        first, *rest = TARGETS[platform].parts(form)
+        built = functools.partial(self.built, Straight, more=(), single=single, platform=platform)
+        kernel = built(first)
+        if kernel is None or not rest:
+            return kernel
+        # The first is alone: with it the self-test calls JAX, whose settings are those of a thread.
+        with concurrent.futures.ThreadPoolExecutor(len(rest)) as threads:
+            kernels = [kernel, *(each for each in threads.map(built, rest) if each is not None)]
+        return joined(kernels) if len(kernels) > len(rest) else None
 
     def without_kernel(self, function: Step, shapes: Shapes) -> str | None:
         """The reason why a function cannot be part of a kernel; None where it can."""

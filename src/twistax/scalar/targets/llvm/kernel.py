@@ -148,7 +148,8 @@ class Kernel(ABC):
             self.target,
             types,
             input_output_aliases=self._in_place,
-            input_layouts=[self.layout] * len(operands),
+            # A row that all share lies alike in both, and XLA copies what is a constant where it is another than its.
+            input_layouts=[self.layout if len(a) > 1 else (0, 1) for a in operands],
             output_layouts=[self.layout] * len(types),
         )
         results = dict(zip(self.body.written, call(*operands), strict=True))
@@ -232,6 +233,11 @@ def _free() -> None:
         _, place, code = _RETIRED.pop(0)
         if place.value == code.addresses["handler"]:
             place.value = None
+
+
+def is_in_use(target: str) -> bool:
+    """Whether a kernel with the name of a target lives."""
+    return target in _CODE
 
 
 def named(text: str, processor: Processor) -> str:
