@@ -15,6 +15,7 @@ from ...errors import TrajectoryError, TwistaxError
 from ...jax_inside import in_double
 from ...progress import Progress
 from ..adapters.solvers import SolvedBy
+from ..contact.relaxed import lowered
 from ..hessians.options import by_updates
 from ..result.between_nodes import hold_between_nodes
 from ..result.many import many_results
@@ -135,7 +136,10 @@ def solved(problem: Any, options: SolveOptions) -> Any:
         # A callback shows what its user wants to see.
         line = Progress(shown=False if line is None and options.callback is not None else line)
     with line:
-        return _with_line(problem, dataclasses.replace(options, progress=line), line)
+        options = dataclasses.replace(options, progress=line)
+        if options.warm is not None or Strategy.LOWERED_RELAXATIONS not in options.strategies:
+            return _with_line(problem, options, line)
+        return lowered(problem, options, lambda changed: _with_line(problem, changed, line))
 
 
 def _with_line(problem: Any, options: SolveOptions, line: Progress) -> Any:

@@ -14,6 +14,7 @@ from numpy import ndarray as Array
 
 from ...errors import IntegrationError, TrajectoryError
 from ...jax_inside import in_double
+from ..contact.relaxed import products
 from ..strategy.accuracy import Accuracy
 from ..strategy.outcome import Outcome
 from ..strategy.status import AT_OPTIMUM, Status
@@ -117,6 +118,13 @@ class Quality:
         return {name: size for name, size in self.violations.items() if name in self.problem.soft}
 
     @functools.cached_property
+    def complementarity(self) -> dict[str, float]:
+        """Name of a complementarity constraint, such as "toe: complementarity" of a `Contact`, entry by entry -> the
+        largest product at the end of an interval, in its unit: what violation is left.
+        """
+        return products(self)
+
+    @functools.cached_property
     def undetermined(self) -> dict[str, Array]:
         """Controls that the optimum does not determine: name of an entry -> (intervals,) the fraction, 0 to 1, of a
         change of it that has no effect.
@@ -175,6 +183,9 @@ def _explained(result: Any, undetermined: list[Undetermined]) -> str:
     ]
     if result.soft:
         lines.append("soft constraints, by violation: " + ", ".join(f"{n} {v:.3g}" for n, v in result.soft.items()))
+    if result.complementarity:
+        left = ", ".join(f"{name} {value:.3g}" for name, value in result.complementarity.items())
+        lines.append(f"complementarity, largest products that are left: {left}")
     if undetermined:
         lines.append(_open(undetermined, result.problem.sign))
     if result.accuracy is not None:
