@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import abc
+from typing import Any
 
 from .comparisons import Inequality
-from .soft import Asked
 
 
 class Complementarity(Inequality):
@@ -27,5 +27,5 @@ class ConstraintSet(abc.ABC):
     """Constraints that belong together, such as those of a contact. A system takes it in place of one constraint."""
 
     @abc.abstractmethod
-    def named(self) -> dict[str, Asked]:
+    def named(self) -> dict[str, Any]:
         """The constraints, by names that follow the name of the set."""

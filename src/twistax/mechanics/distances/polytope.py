@@ -156,13 +156,14 @@ def distance(a: Core, b: Core, T: Any) -> jax.Array:
         squares.append(_between(Ea, Eb))
     square = jnp.min(jnp.concatenate(squares))
     if not len(a.normals) and not len(b.normals):
-        return _root(square) - (a.radius + b.radius)
+        return root(square) - (a.radius + b.radius)
     depth = _separation(a, b, Va, Vb, R, p)
     outside = depth > 0.0
-    return jnp.where(outside, _root(jnp.where(outside, square, 1.0)), depth) - (a.radius + b.radius)
+    return jnp.where(outside, root(jnp.where(outside, square, 1.0)), depth) - (a.radius + b.radius)
 
 
-def _root(square: jax.Array) -> jax.Array:
+def root(square: jax.Array) -> jax.Array:
+    """The square root, with a derivative of zero at zero."""
     positive = square > 0.0
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
 

@@ -12,7 +12,6 @@ from ...checks import number, short
 from ...errors import ModelError, ShapeError
 from ...expr import Abs, Constant, Control, Expr, Norm, Parameter, State, to_expr
 from ...expr.operations.complementarity import Complementarity, ConstraintSet
-from ...expr.operations.soft import Asked
 
 #: Directions of slip in the plane of contact, of which the fastest counts.
 _DIRECTIONS = 8
@@ -48,7 +47,13 @@ class Friction:
 
     def __init__(self, coefficient: Any, *, force: Any, velocity: Any) -> None:
         if not isinstance(coefficient, Expr):
-            number("Friction: coefficient", coefficient, "a number not below zero", lambda m: 0.0 <= m < math.inf, ModelError)
+            number(
+                "Friction: coefficient",
+                coefficient,
+                "a number not below zero",
+                lambda m: 0.0 <= m < math.inf,
+                ModelError,
+            )
         for name, value in (("coefficient", coefficient), ("force", force), ("velocity", velocity)):
             object.__setattr__(self, name, to_expr(value))
         shape = self.force.check_shape()
@@ -59,7 +64,7 @@ class Friction:
                 f"space, got {shapes}"
             )
 
-    def named(self, normal: Expr, relaxation: Parameter) -> dict[str, Asked]:
+    def named(self, normal: Expr, relaxation: Parameter) -> dict[str, Any]:
         """The constraints with a normal force, by name."""
         f, v, most = self.force, self.velocity, self.coefficient * normal
         if f.shape == ():
@@ -108,7 +113,7 @@ class Contact(ConstraintSet):
     friction: Friction | None
     relaxation: Parameter
 
-    def __init__(self, gap: Any, force: Any, friction: Friction | None = None, *, relaxation: Any = 1e-6) -> None:
+    def __init__(self, gap: Any, force: Any, friction: Any = None, *, relaxation: Any = 1e-6) -> None:
         for name, value in (("gap", gap), ("force", force)):
             expr = to_expr(value)
             if expr.check_shape() != ():
@@ -127,8 +132,8 @@ class Contact(ConstraintSet):
     def __repr__(self) -> str:
         return f"Contact({self.gap!r}, {self.force!r})"
 
-    def named(self) -> dict[str, Asked]:
-        rows: dict[str, Asked] = {"gap": self.gap >= 0.0, "force": self.force >= 0.0}
+    def named(self) -> dict[str, Any]:
+        rows: dict[str, Any] = {"gap": self.gap >= 0.0, "force": self.force >= 0.0}
         # A second row that says what a limit says has no multiplier that is determined.
         rows = {name: row for name, row in rows.items() if not _has_limit_at_zero(getattr(self, name))}
         rows["complementarity"] = Complementarity(self.gap * self.force, self.relaxation)

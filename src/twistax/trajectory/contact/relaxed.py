@@ -12,13 +12,12 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from numpy import ndarray as Array
 
 from ...expr import Parameter, leaves_of
 from ...expr.operations.complementarity import Complementarity
 from ...jax_inside import in_double
 from ...system import entry_names, name_of
-from ..strategy.status import AT_OPTIMUM
+from ..strategy.status import AT_OPTIMUM, Status
 from ..strategy.strategies import Strategy
 from ..transcription.point_values import PointValues
 
@@ -27,6 +26,8 @@ from ..transcription.point_values import PointValues
 _FIRST, _LOWER, _LEAST = 0.01, 0.3, 0.8
 #: The most iterations of a warm solve, which takes few where it does not fail.
 _MOST = 150
+#: After these a smaller relaxation is tried.
+_GOING_ON = (*AT_OPTIMUM, Status.STALLED, Status.MAX_ITERATIONS, Status.INFEASIBLE)
 #: Saddles are left at relaxations above this share of a typical product, and at the last one: between these every
 #: search comes back.
 _OPEN = 1e-4
@@ -65,39 +66,41 @@ def lowered(problem: Any, options: Any, solve: Callable[[Any], Any]) -> Any:
     if not last:
         return solve(options)
     size = _typical(problem, options)
-    ratio, value, solved = _LOWER, _FIRST * size, list[Any]()
-    best = None
-    while True:
-        params = changed | {name: max(value, least) for name, least in last.items()}
+    every: list[Any] = []
+
+    def at(value: float, start: Any) -> Any:
+        """The result with this relaxation, from the guess or from the result with a larger one."""
         is_last = value <= min(last.values())
-        other = {} if best is None else options.again(warm=best)
-        if best is not None:
-            leaving = (Strategy.LEAVING_SADDLES,) if is_last or value > _OPEN * size else ()
-            kept = tuple(it for it in options.strategies if it in leaving)
-            other |= {"max_iterations": min(options.max_iterations, _MOST), "strategies": kept}
-        if options.max_seconds is not None:
-            other["max_seconds"] = max(options.max_seconds - (time.perf_counter() - begin), 1e-3)
+        other: dict[str, Any] = {"params": changed | {name: max(value, least) for name, least in last.items()}}
         if not is_last:
             other |= {"refine": None, "between": None, "mesh_tolerance": np.inf}
-        else:
-            other |= {"refine": options.refine, "between": options.between}
-        result = solve(dataclasses.replace(options, **{**other, "params": params}))
-        solved.append(result)
+        if options.max_seconds is not None:
+            other["max_seconds"] = max(options.max_seconds - (time.perf_counter() - begin), 1e-3)
+        if start is not None:
+            leaving = (Strategy.LEAVING_SADDLES,) if is_last or value > _OPEN * size else ()
+            other |= dict.fromkeys(("guess", "final_time_guess", "seed")) | {"guesses": 1, "warm": start}
+            other["strategies"] = tuple(it for it in options.strategies if it in leaving)
+            other["max_iterations"] = min(options.max_iterations, _MOST)
+        every.append(solve(dataclasses.replace(options, **other)))
+        return every[-1]
+
+    value, ratio = _FIRST * size, _LOWER
+    best = result = at(value, None)
+    while result.status in _GOING_ON and value > min(last.values()) and ratio < _LEAST:
+        following = value * ratio
+        result = at(following, best)
+        if result.status not in AT_OPTIMUM:
+            result = at(following, None)  # from the guess, for another pattern of contacts
         if result.status in AT_OPTIMUM:
-            best, reached = result, value
-            if is_last:
-                break
-        elif best is None or ratio > _LEAST:
-            break
+            best, value = result, following
         else:
             ratio = ratio**0.5
-        value = reached * ratio
     return dataclasses.replace(
-        solved[-1],
-        message=f"{solved[-1].message} {_remark(solved, best, size)}",
-        iterations=sum(result.iterations for result in solved),
-        compile_seconds=sum(result.compile_seconds for result in solved),
-        solve_seconds=sum(result.solve_seconds for result in solved),
+        result,
+        message=f"{result.message} {_remark(len(every), result, best, size)}",
+        iterations=sum(solved.iterations for solved in every),
+        compile_seconds=sum(solved.compile_seconds for solved in every),
+        solve_seconds=sum(solved.solve_seconds for solved in every),
     )
 
 
@@ -118,9 +121,11 @@ def _typical(problem: Any, options: Any) -> float:
     return float(sizes[np.isin(problem.shooting.names.astype(str), list(relaxations(problem)))].max())
 
 
-def _remark(solved: list[Any], best: Any, size: float) -> str:
-    count = f"{len(solved)} relaxations of complementarity"
-    if best is not solved[-1]:
-        return f"It is the last of {count}; smaller ones were not reached."
-    largest = max(solved[-1].complementarity.values(), default=0.0)
-    return f"{count}: the largest product that is left is {largest:.2g}, where a typical one is {size:.2g}."
+def _remark(count: int, result: Any, best: Any, size: float) -> str:
+    if best is not result:
+        return f"It is the last of {count} solves with smaller and smaller relaxations of complementarity."
+    largest = max(result.complementarity.values(), default=0.0)
+    return (
+        f"The last of {count} relaxations of complementarity: the largest product that is left is {largest:.2g}, where "
+        f"a typical one is {size:.2g}."
+    )
