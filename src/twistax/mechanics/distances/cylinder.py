@@ -31,10 +31,10 @@ def to_segment(cylinder: Cylinder, half: float, T: Expr) -> Expr:
     radius, height = float(cylinder.radius), 0.5 * float(cylinder.length)
 
     def distance(T: jax.Array) -> jax.Array:
-        middle, along = T[:3, 3], half * T[:3, 2]
+        middle, axis = T[:3, 3], half * T[:3, 2]
         if not half:
             return _to_point(radius, height, middle)
-        return _least(radius, height, middle, along)
+        return _least(radius, height, middle, axis)
 
     return Function(distance, (), name="signed_distance")(T)
 
@@ -52,14 +52,14 @@ def prism_around(cylinder: Cylinder) -> ConvexPolytope:
     return ConvexPolytope(np.concatenate(ends), at=cylinder.at)
 
 
-def _least(radius: float, height: float, middle: jax.Array, along: jax.Array) -> jax.Array:
-    """The least signed distance of points middle + s along, |s| <= 1."""
+def _least(radius: float, height: float, middle: jax.Array, axis: jax.Array) -> jax.Array:
+    """The least signed distance of points middle + s axis, |s| <= 1."""
 
-    def at(s: jax.Array, middle: jax.Array, along: jax.Array) -> jax.Array:
-        return _to_point(radius, height, middle + s * along)
+    def at(s: jax.Array, middle: jax.Array, axis: jax.Array) -> jax.Array:
+        return _to_point(radius, height, middle + s * axis)
 
     slope = jax.grad(at)
-    fixed = jax.lax.stop_gradient(middle), jax.lax.stop_gradient(along)
+    fixed = jax.lax.stop_gradient(middle), jax.lax.stop_gradient(axis)
 
     def halve(_: Any, ends: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         low, high = ends
@@ -72,10 +72,10 @@ def _least(radius: float, height: float, middle: jax.Array, along: jax.Array) ->
     s = 0.5 * (low + high)
     curvature = jax.grad(slope)(s, *fixed)
     curved = curvature > _KINK * jnp.sum(fixed[1] ** 2)
-    step = slope(s, middle, along) / jnp.where(curved, curvature, 1.0)
+    step = slope(s, middle, axis) / jnp.where(curved, curvature, 1.0)
     smooth = curved & (jnp.abs(jax.lax.stop_gradient(step)) < _KINK)
     s = jnp.where(smooth, s - jnp.where(smooth, step, 0.0), s)
-    return at(s, middle, along)
+    return at(s, middle, axis)
 
 
 def _to_point(radius: float, height: float, p: jax.Array) -> jax.Array:

@@ -9,6 +9,7 @@ first solid: $p_a = n \\times m + h_a(n) n$ and $p_b = p_a + d n$.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -21,8 +22,10 @@ from ...expr.functions.function import Function
 from ...expr.lie import Act, Compose, Inverse
 from ...system.lower import lower
 from ...view import Cylinder
-from .polytope import ConvexPolytope, root
+from .distance_grid import DistanceGrid
+from .polytope import ConvexPolytope, Core, distance, root
 from .signed_distance import Pair, Solid, placed_pair
+from .solids import HalfSpace
 
 
 @dataclasses.dataclass(frozen=True)
@@ -67,17 +70,20 @@ def witness_points(a: Solid, b: Solid, T_a: ExprLike | None = None, T_b: ExprLik
     """
     pair, A, B = placed_pair("witness_points", a, b, T_a, T_b)
     T = Compose(Inverse(A), B)
-    rows = Function(_points_of(pair), (3, 3), name="witness_points")(T)
-    on_a, on_b, normal = Act(A, rows[0]), Act(A, rows[1]), A[:3, :3] @ rows[2]
+    rows = Function(_points_of(pair), (10,), name="witness_points")(T)
+    on_a, on_b, normal = Act(A, rows[:3]), Act(A, rows[3:6]), A[:3, :3] @ rows[6:9]
     if pair.swapped:
         on_a, on_b, normal = on_b, on_a, -normal
-    return WitnessPoints(on_a, on_b, normal, pair.distance(T))
+    return WitnessPoints(on_a, on_b, normal, rows[9])
 
 
 def _points_of(pair: Pair) -> Callable[[Any], Any]:
-    """The function from the pose of b in a to both points and the normal (3, 3), in the frame of a."""
-    lowered = lower(pair.distance(State("T", (4, 4))))
-    value_and_slope = jax.value_and_grad(lambda T: lowered(0.0, {"T": T}))
+    """The function from the pose of b in a to both points, the normal and the distance (10,), in the frame of a."""
+    if isinstance(pair.a, Cylinder) or isinstance(pair.b, (HalfSpace, DistanceGrid)):
+        lowered = lower(pair.distance(State("T", (4, 4))))
+        value_and_slope = jax.value_and_grad(lambda T: lowered(0.0, {"T": T}))
+    else:  # as arrays, which compile faster than the expression
+        value_and_slope = jax.value_and_grad(functools.partial(distance, Core.of(pair.a), Core.of(pair.b)))
 
     def points(T: jax.Array) -> jax.Array:
         d, G = value_and_slope(T)
@@ -85,7 +91,7 @@ def _points_of(pair: Pair) -> Callable[[Any], Any]:
         n = n / root(jnp.sum(n**2))
         m = jnp.sum(jnp.cross(T[:3, :].T, G[:3, :].T), axis=0)
         p = jnp.cross(n, m) + _support(pair.a, n) * n
-        return jnp.stack([p, p + d * n, n])
+        return jnp.concatenate([p, p + d * n, n, d[None]])
 
     return points
 

@@ -11,7 +11,7 @@ import numpy as np
 from ...checks import number, short
 from ...errors import ModelError, ShapeError
 from ...expr import Abs, Constant, Control, Expr, Norm, Parameter, State, to_expr
-from ...expr.operations.complementarity import Complementarity, ConstraintSet
+from ...expr.operations.comparisons import Complementarity, ConstraintSet
 
 #: Directions of slip in the plane of contact, of which the fastest counts.
 _DIRECTIONS = 8

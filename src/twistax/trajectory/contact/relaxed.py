@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ...expr import Parameter, leaves_of
-from ...expr.operations.complementarity import Complementarity
+from ...expr.operations.comparisons import Complementarity
 from ...jax_inside import in_double
 from ...system import entry_names, name_of
 from ..strategy.status import AT_OPTIMUM, Status
@@ -46,12 +46,13 @@ def relaxations(problem: Any) -> dict[str, Any]:
 
 def products(result: Any) -> dict[str, float]:
     """The largest value of each entry of a complementarity constraint."""
-    names, left = result.problem.shooting.names.astype(str), dict[str, float]()
+    shooting, left = result.problem.shooting, dict[str, float]()
+    names = np.where(shooting.exists, shooting.names.astype(str), "")
     for name, limit in relaxations(result.problem).items():
         known = {leaf.name: result.params[leaf.name] for leaf in leaves_of(limit) if isinstance(leaf, Parameter)}
         most = float(np.max(PointValues.of([limit])(np.zeros(1), {}, {}, known)))
-        left[name] = most - float(result.slacks[names == name].min()) + result.violations[name]
-    return left
+        left[name] = most - float(result.slacks[names == name].min(initial=np.inf)) + result.violations[name]
+    return {name: value for name, value in left.items() if np.isfinite(value)}
 
 
 def lowered(problem: Any, options: Any, solve: Callable[[Any], Any]) -> Any:
@@ -77,9 +78,9 @@ def lowered(problem: Any, options: Any, solve: Callable[[Any], Any]) -> Any:
         if options.max_seconds is not None:
             other["max_seconds"] = max(options.max_seconds - (time.perf_counter() - begin), 1e-3)
         if start is not None:
-            leaving = (Strategy.LEAVING_SADDLES,) if is_last or value > _OPEN * size else ()
+            useful = [Strategy.IMPLICIT_STEPS, *[Strategy.LEAVING_SADDLES] * (is_last or value > _OPEN * size)]
             other |= dict.fromkeys(("guess", "final_time_guess", "seed")) | {"guesses": 1, "warm": start}
-            other["strategies"] = tuple(it for it in options.strategies if it in leaving)
+            other["strategies"] = tuple(it for it in options.strategies if it in useful)
             other["max_iterations"] = min(options.max_iterations, _MOST)
         every.append(solve(dataclasses.replace(options, **other)))
         return every[-1]

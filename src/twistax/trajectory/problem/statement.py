@@ -24,7 +24,7 @@ from ...expr import (
     leaves_of,
     to_expr,
 )
-from ...expr.operations.complementarity import Complementarity
+from ...expr.operations.comparisons import Complementarity
 from ...system import entry_names, need_finite
 from ...system.dynamics import Dynamics
 from .controls import is_rate

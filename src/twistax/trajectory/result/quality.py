@@ -119,9 +119,7 @@ class Quality:
 
     @functools.cached_property
     def complementarity(self) -> dict[str, float]:
-        """Name of a complementarity constraint, such as "toe: complementarity" of a `Contact`, entry by entry -> the
-        largest product at the end of an interval, in its unit: what violation is left.
-        """
+        """Name of a complementarity constraint, entry by entry -> its largest product at the ends of intervals."""
         return products(self)
 
     @functools.cached_property
@@ -181,11 +179,8 @@ def _explained(result: Any, undetermined: list[Undetermined]) -> str:
         f"first-order conditions: {errors}",
         f"active, by multiplier: {', '.join(f'{name} ({size[name]:.3g})' for name in result.active) or 'none'}",
     ]
-    if result.soft:
-        lines.append("soft constraints, by violation: " + ", ".join(f"{n} {v:.3g}" for n, v in result.soft.items()))
-    if result.complementarity:
-        left = ", ".join(f"{name} {value:.3g}" for name, value in result.complementarity.items())
-        lines.append(f"complementarity, largest products that are left: {left}")
+    left = {"soft constraints, by violation": result.soft, "complementarity, products left": result.complementarity}
+    lines += [f"{what}: {', '.join(f'{n} {v:.3g}' for n, v in of.items())}" for what, of in left.items() if of]
     if undetermined:
         lines.append(_open(undetermined, result.problem.sign))
     if result.accuracy is not None:
