@@ -38,8 +38,7 @@ def fitted_capsule(mesh: Any) -> Capsule:
         return float(np.pi * radius**2 * (high - low + 4.0 / 3.0 * radius))
 
     axes = np.linalg.svd(points - points.mean(axis=0))[2]
-    start = min(axes, key=volume)
-    u, v = (axis for axis in axes if axis is not start)
+    start, u, v = sorted(axes, key=volume)
     turned = minimize(lambda s: volume(start + s[0] * u + s[1] * v), np.zeros(2), method="Nelder-Mead")
     direction = start + turned.x[0] * u + turned.x[1] * v
     frame, radius, low, high = _around(points, direction)
