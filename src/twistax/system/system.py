@@ -331,8 +331,7 @@ def constraints_by_name(constraints: Asked | Iterable[Asked] | Mapping[str, Aske
         raise ModelError(f"constraints must be a constraint, a list or a dict of them, got {constraints!r}")
     else:
         named = {}
-        alone = isinstance(constraints, (Expr, Soft, ConstraintSet))
-        for constraint in [constraints] if alone else constraints:
+        for constraint in [constraints] if isinstance(constraints, (Expr, Soft, ConstraintSet)) else constraints:
             named[free_name(repr(hard(constraint)), named)] = constraint
     for name, value in list(named.items()):
         if isinstance(value, ConstraintSet):

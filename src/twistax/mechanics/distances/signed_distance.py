@@ -87,7 +87,7 @@ class Pair:
     """
 
     a: Rounded | ConvexPolytope | Cylinder
-    b: Rounded | ConvexPolytope | HalfSpace | DistanceGrid
+    b: Any
     swapped: bool
 
     def distance(self, T: Expr) -> Expr:
