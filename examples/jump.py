@@ -47,7 +47,7 @@ problem = Problem(
     final_time=TIME,
     initial=standing(0.0),
     final=standing(FAR),
-    at={node: [foot[1] >= STREAM for foot in feet.values()] for node in (13, 15, 17)},
+    at={node: [foot[1] >= STREAM for foot in feet.values()] for node in range(13, 18)},
     guess={f"normal force, {leg}": 0.5 * MASS * GRAVITY for leg in feet},
     transcription=Collocation(tx.tableaus.RADAU_IIA1),
 )

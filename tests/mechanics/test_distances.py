@@ -91,9 +91,9 @@ def test_as_coal_has_it(pair: tuple[str, str]) -> None:
 
     expected = np.array([theirs(*both) for both in zip(A, B, strict=True)])
     assert (expected < -1e-3).sum() > 10
-    # Coal iterates for two boxes.
+    # Coal iterates where there is a box, to a tolerance that other tests may have set.
     off = np.abs(values(SHAPES[pair[0]], SHAPES[pair[1]], A, B) - expected)
-    assert off.max() < (2e-6 if pair == ("box", "box") else 1e-12)
+    assert off.max() < (2e-6 if pair == ("box", "box") else 1e-9)
 
 
 def test_boxes_overlap_by_the_least_depth_of_the_separating_axes() -> None:
