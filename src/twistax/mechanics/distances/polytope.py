@@ -67,8 +67,10 @@ class ConvexPolytope:
         kept = hull if self.most is None or len(hull) <= self.most else _fewer(hull, int(self.most))
         if kept is not hull:
             object.__setattr__(self, "corners", kept)
-            core, still = self.core, np.eye(4)
-            missed = max(float(distance(core, Core.point(p), still)) for p in hull)
+            to_point = functools.partial(distance, self.core, Core.point(np.zeros(3)))
+            places = np.tile(np.eye(4), (len(hull), 1, 1))
+            places[:, :3, 3] = hull
+            missed = float(jnp.max(jax.vmap(to_point)(places)))
             object.__setattr__(self, "radius", float(self.radius) + max(missed, 0.0))
             del self.__dict__["core"]
         object.__setattr__(self, "corners", kept)
