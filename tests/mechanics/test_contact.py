@@ -1,6 +1,7 @@
 """A ground that gives way, and given forces at contacts."""
 
 import functools
+from typing import Any, cast
 
 import jax
 import numpy as np
@@ -123,3 +124,29 @@ def test_a_block_on_a_slope_rests_within_its_friction_cone_alone(friction: float
 def test_what_makes_no_sense_is_refused(make: object, message: str) -> None:
     with pytest.raises(tx.ModelError, match=message):
         make()  # type: ignore[operator]
+
+
+def test_a_height_field_that_is_a_tilted_plane_pushes_along_its_normal() -> None:
+    slope, rate = np.array([0.3, -0.2]), np.array([0.4, 0.3, -0.5])
+    field = Ground(stiffness=1e4, damping=0.3, friction=0.6, height=lambda x, y: 0.3 * x - 0.2 * y + 0.1, slip=0.02)
+    level = Ground(stiffness=1e4, damping=0.3, friction=0.6, slip=0.02)
+    up = np.array([-slope[0], -slope[1], 1.0]) / np.sqrt(1.0 + slope @ slope)
+    across = np.cross(up, [1.0, 0.0, 0.0])
+    R = np.stack([np.cross(across, up) / np.linalg.norm(across), across / np.linalg.norm(across), up])
+    p = np.array([1.0, 2.0, 0.3 - 0.4 + 0.1]) - 0.01 * up  # 1 cm below the plane
+    found = np.asarray(tx.lower(field.force(tx.Constant(p), tx.Constant(rate)))(0.0))
+    flat = np.asarray(tx.lower(level.force(tx.Constant([0.0, 0.0, -0.01]), tx.Constant(R @ rate)))(0.0))
+    np.testing.assert_allclose(found, R.T @ flat, rtol=1e-9, atol=1e-9)
+
+
+def test_balls_and_capsules_touch_the_ground_with_their_surface(unchecked: None) -> None:
+    robot, ball, rod = block(), tx.view.Sphere(0.05), tx.view.Capsule(0.05, 0.4, at=(0.0, 0.0, 0.1))
+    lying = tx.pose(position=[0.0, 0.0, 0.24], rotation=np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]))
+    x = {"block_position": lying, "qd": np.zeros(6)}
+    contact = GROUND.wrenches(robot, {"block": rod})["block"], GROUND.wrenches(robot, {"block": ball})["block"]
+    of_rod, of_ball = (np.asarray(tx.lower(F)(0.0, x)) for F in contact)
+    np.testing.assert_allclose(lying[:3, :3] @ of_ball[:3], [0.0, 0.0, 100.0], rtol=1e-4, atol=1e-9)
+    np.testing.assert_allclose(lying[:3, :3] @ of_rod[:3], [0.0, 0.0, 200.0], rtol=1e-4, atol=1e-9)
+    np.testing.assert_allclose(lying[:3, :3] @ of_rod[3:], [0.0, -20.0, 0.0], rtol=1e-4, atol=1e-9)  # 0.1 m off
+    with pytest.raises(tx.errors.ModelError, match="Sphere or a Capsule"):
+        GROUND.wrenches(robot, {"block": cast(Any, tx.view.Box((0.1, 0.1, 0.1)))})

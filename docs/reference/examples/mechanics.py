@@ -130,6 +130,20 @@ arm = chain_models.panda()
 height = signed_distance(tx.view.Sphere(0.1), HalfSpace(), arm.pose("joint7"))
 tx.lower(height)(0.0, {"q": np.zeros(7)})  # m
 
+# tx.mechanics.witness_points tx.mechanics.WitnessPoints
+from twistax.mechanics import HalfSpace, chain_models, witness_points
+
+arm = chain_models.panda()
+near = witness_points(tx.view.Cylinder(0.05, 0.2), HalfSpace(), arm.pose("joint7"))
+tx.lower(near.on_b)(0.0, {"q": np.zeros(7)})  # on the ground
+
+# tx.mechanics.fitted_capsule tx.mechanics.fitted_spheres
+from twistax.mechanics import fitted_capsule, fitted_spheres
+
+corners, triangles = tx.view.Box((0.1, 0.15, 0.4)).mesh()
+capsule = fitted_capsule(tx.view.Mesh((corners, triangles)))
+capsule.radius, [ball.radius for ball in fitted_spheres(corners, 3)]
+
 # tx.mechanics.ConvexPolytope tx.mechanics.DistanceGrid
 from twistax.mechanics import ConvexPolytope, DistanceGrid, HalfSpace, chain_models, signed_distance
 

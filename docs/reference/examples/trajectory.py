@@ -24,6 +24,12 @@ many.cost
 # tx.trajectory.Progress
 problem.solve(progress=tx.trajectory.Progress(cost="effort {:.3f}", shown=False)).status
 
+# tx.trajectory.Contact tx.trajectory.Friction
+height, fall, slide = tx.State("height"), tx.State("fall"), tx.State("slide")
+normal, drag = tx.Control("normal", min=0.0), tx.Control("drag")
+ground = tx.trajectory.Contact(height, normal, tx.trajectory.Friction(0.3, force=drag, velocity=slide))
+list(tx.System({height: fall, fall: normal - 9.81, slide: drag}, constraints={"ground": ground}).constraints)
+
 # tx.trajectory.Strategy
 problem.solve(strategies=[tx.trajectory.Strategy.RESCALING]).status
 

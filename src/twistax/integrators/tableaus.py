@@ -19,9 +19,9 @@ from ..expr.moved import earlier_classes
 
 # fmt: off
 __all__ = [
-    "ALL", "BOGACKI_SHAMPINE3", "DOP853", "DORMAND_PRINCE5", "DORMAND_PRINCE8", "EULER", "GAUSS_LEGENDRE4",
-    "GAUSS_LEGENDRE6", "HEUN", "IMPLICIT", "RADAU_IIA3", "RADAU_IIA5", "RADAU_IIA9", "RK4", "TSIT5", "ButcherTableau",
-    "CollocationTableau",
+    "ALL", "BOGACKI_SHAMPINE3", "ButcherTableau", "CollocationTableau", "DOP853", "DORMAND_PRINCE5", "DORMAND_PRINCE8",
+    "EULER", "GAUSS_LEGENDRE4", "GAUSS_LEGENDRE6", "HEUN", "IMPLICIT", "RADAU_IIA1", "RADAU_IIA3", "RADAU_IIA5",
+    "RADAU_IIA9", "RK4", "TSIT5",
 ]
 # fmt: on
 
@@ -319,4 +319,4 @@ EULER, HEUN, BOGACKI_SHAMPINE3, RK4, DORMAND_PRINCE5, TSIT5, DOP853, DORMAND_PRI
 
 #: Every implicit tableau, by order.
 IMPLICIT: tuple[CollocationTableau, ...] = tuple(CollocationTableau(**f) for f in _stored("collocation"))
-RADAU_IIA3, GAUSS_LEGENDRE4, RADAU_IIA5, GAUSS_LEGENDRE6, RADAU_IIA9 = IMPLICIT
+RADAU_IIA1, RADAU_IIA3, GAUSS_LEGENDRE4, RADAU_IIA5, GAUSS_LEGENDRE6, RADAU_IIA9 = IMPLICIT

@@ -28,10 +28,12 @@ from .contact import Bristles, GivenForces, Ground, given_forces
 from .control.differential import DifferentialController, DifferentialStep, StepStatus
 from .control.operational_space import OperationalSpace, computed_torque, operational_space
 from .distances.distance_grid import DistanceGrid
+from .distances.fitted import fitted_capsule, fitted_spheres
 from .distances.pairs import clearances, soft_minimum
 from .distances.polytope import ConvexPolytope
 from .distances.signed_distance import signed_distance
 from .distances.solids import HalfSpace
+from .distances.witness import WitnessPoints, witness_points
 from .drives import Drive
 from .identification.base_parameters import BaseParameters, base_parameters, identifiable_combinations
 from .identification.identification import Identification, IdentificationStatus
@@ -52,18 +54,19 @@ from .tree import Link, Mimic
 
 # fmt: off
 __all__ = [
-    "ALIGNED", "BODY", "WORLD", "BaseParameters", "Bristles", "CenterOfMassTask", "Chain", "ConvexPolytope",
-    "DaveModel", "DifferentialController", "DifferentialStep", "DistanceGrid", "Drive", "FrameTask", "GivenForces",
-    "Ground", "HalfSpace", "Identification", "IdentificationStatus", "JointLimitTask", "Link", "LookAtTask",
-    "ManipulabilityTask", "Mechanism", "Mimic", "MomentumTask", "OperationalSpace", "OrientationTask", "PositionTask",
-    "PostureTask", "ReachResult", "ReachStatus", "Regressor", "RelativeFrameTask", "SpatialInertia", "StepStatus",
-    "Task", "aba", "base_parameters", "bias_forces", "center_of_mass", "centroidal_matrix", "centroidal_momentum",
-    "chain_models", "clearances", "closed_dynamics", "computed_torque", "coriolis_forces", "environment", "flight",
-    "forward_dynamics", "forward_dynamics_derivatives", "frame_jacobian", "frame_jacobian_rate", "frame_twist",
-    "given_forces", "gravity_forces", "identifiable_combinations", "identify", "inverse_dynamics",
-    "inverse_dynamics_derivatives", "inverse_dynamics_regressor", "joint_wrench", "joints", "kinetic_energy", "load",
-    "load_daveml", "log_cholesky", "loop_diagnostics", "loop_gap", "loop_wrench", "loop_wrenches", "loops",
-    "mass_matrix", "operational_space", "physical_inertia", "potential_energy", "power", "reach", "rnea",
-    "signed_distance", "soft_minimum", "spatial_momentum", "total_mass",
+    "ALIGNED", "BODY", "BaseParameters", "Bristles", "CenterOfMassTask", "Chain", "ConvexPolytope", "DaveModel",
+    "DifferentialController", "DifferentialStep", "DistanceGrid", "Drive", "FrameTask", "GivenForces", "Ground",
+    "HalfSpace", "Identification", "IdentificationStatus", "JointLimitTask", "Link", "LookAtTask", "ManipulabilityTask",
+    "Mechanism", "Mimic", "MomentumTask", "OperationalSpace", "OrientationTask", "PositionTask", "PostureTask",
+    "ReachResult", "ReachStatus", "Regressor", "RelativeFrameTask", "SpatialInertia", "StepStatus", "Task", "WORLD",
+    "WitnessPoints", "aba", "base_parameters", "bias_forces", "center_of_mass", "centroidal_matrix",
+    "centroidal_momentum", "chain_models", "clearances", "closed_dynamics", "computed_torque", "coriolis_forces",
+    "environment", "fitted_capsule", "fitted_spheres", "flight", "forward_dynamics", "forward_dynamics_derivatives",
+    "frame_jacobian", "frame_jacobian_rate", "frame_twist", "given_forces", "gravity_forces",
+    "identifiable_combinations", "identify", "inverse_dynamics", "inverse_dynamics_derivatives",
+    "inverse_dynamics_regressor", "joint_wrench", "joints", "kinetic_energy", "load", "load_daveml", "log_cholesky",
+    "loop_diagnostics", "loop_gap", "loop_wrench", "loop_wrenches", "loops", "mass_matrix", "operational_space",
+    "physical_inertia", "potential_energy", "power", "reach", "rnea", "signed_distance", "soft_minimum",
+    "spatial_momentum", "total_mass", "witness_points",
 ]
 # fmt: on

@@ -11,17 +11,26 @@ of systems with friction, IEEE Transactions on Automatic Control 40 (1995), equa
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection
+import functools
+import operator
+from collections.abc import Collection, Mapping
+from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
-from ..checks import number
+from ..checks import callable_with, number, short
 from ..errors import ModelError
-from ..expr import Concat, Constant, Constraint, Control, Dot, Expr, Max, Norm, Sqrt, State
+from ..expr import Concat, Constant, Constraint, Control, Cross, Dot, Expr, Max, Norm, Sqrt, State, to_expr
 from ..expr.fields import ExprLike
+from ..expr.functions.function import Function
 from ..expr.lie import wrench
+from ..system.lower import lower
+from ..view import Capsule, Sphere
 from .algorithms.dynamics import checked
 from .algorithms.jacobians import ALIGNED, frame_twist
+from .distances.solids import rounded
 from .kinematic_tree import KinematicTree, Positions
 
 _ZERO = Constant(np.zeros(3))
@@ -79,18 +88,20 @@ class Bristles:
 
 @dataclasses.dataclass(frozen=True)
 class Ground:
-    """A compliant, level ground: a smooth contact force on every point below it, and almost none on points above it.
+    """A compliant ground: a smooth contact force on every point below it, and almost none on points above it.
 
     With d the penetration depth of a point and $s(d) = (d + sqrt(d^2 + sharpness^2)) / 2$, a smooth max(d, 0), the
     normal force is $n = stiffness s(d) g(1 + damping d')$, with g a smooth max(., 0). The friction is
     $-mu n v / sqrt(|v|^2 + slip^2)$, with v the tangential velocity. The equations are stiff: integrate them with
-    `tx.ImplicitRKMK` and a Radau tableau.
+    `tx.ImplicitRKMK` and a Radau tableau. Over a height field h(x, y) the force is that of the plane through the ground
+    above or below the point: $d = (h - z) / sqrt(1 + |h'|^2)$, exact where the ground is even over the depth d.
 
     Attributes:
         stiffness: N/m, positive.
         damping: s/m, not negative: the factor of the penetration rate in the normal force (Hunt and Crossley).
         friction: friction coefficient mu, not negative.
-        height: z of the ground in the base, m.
+        height: z of the ground in the base, m: a number, or a function of the expressions x and y, m, that returns an
+            expression, such as `lambda x, y: tx.Interp(x, y, axes=axes, values=heights, kind=tx.tables.BSpline())`.
         sharpness: m, positive: the height over the ground at which the force begins.
         slip: m/s, positive: the sliding speed at which friction reaches 71 % of mu n.
     Raises: ModelError for other values.
@@ -99,7 +110,7 @@ class Ground:
     stiffness: float = 2e4
     damping: float = 0.5
     friction: float = 0.8
-    height: float = 0.0
+    height: Any = 0.0
     sharpness: float = 1e-4
     slip: float = 0.01
 
@@ -109,13 +120,34 @@ class Ground:
         for name in ("damping", "friction"):
             value = getattr(self, name)
             number(f"Ground: {name}", value, "a number not below zero", lambda a: 0.0 <= a < np.inf, ModelError)
-        number("Ground: height", self.height, error=ModelError)
+        if callable(self.height):
+            callable_with("Ground: height", self.height, ["x", "y"], ModelError)
+        else:
+            number("Ground: height", self.height, error=ModelError)
 
     def force(self, place: Expr, velocity: Expr) -> Expr:
         """The force (3,), N, on a point at `place` (3,) that moves with `velocity` (3,), all in axes of the base."""
-        normal, v = self.normal(place, velocity), velocity[:2]
-        friction = (-self.friction) * normal * v / Sqrt(Dot(v, v) + self.slip**2)
-        return Concat(friction, normal)
+        if not callable(self.height):
+            normal, v = self.normal(place, velocity), velocity[:2]
+            friction = (-self.friction) * normal * v / Sqrt(Dot(v, v) + self.slip**2)
+            return Concat(friction, normal)
+        up, normal = self.upward(place), self.normal(place, velocity)
+        v = velocity - Dot(velocity, up) * up
+        return normal * (up - self.friction * v / Sqrt(Dot(v, v) + self.slip**2))
+
+    def upward(self, place: Expr) -> Expr:
+        """The unit normal (3,) of the ground above or below a place (3,), in axes of the base."""
+        if not callable(self.height):
+            return Constant(np.array([0.0, 0.0, 1.0]))
+        slope = self._field(place)[1:]
+        return Concat(-slope, 1.0) / Sqrt(1.0 + Dot(slope, slope))
+
+    def _field(self, place: Expr) -> Expr:
+        """The height of the ground at a place (3,), and its slopes along x and y: (3,)."""
+        xy = State("xy", (2,))
+        height = lower(to_expr(self.height(xy[0], xy[1])))
+        at = jax.value_and_grad(lambda p: height(0.0, {"xy": p}))
+        return Function(lambda p: jnp.concatenate([jnp.ravel(v) for v in at(p)]), (3,), name="ground")(place[:2])
 
     def bristles(
         self,
@@ -146,6 +178,8 @@ class Ground:
         """
         number("Ground.bristles: deflection", deflection, "a positive number", lambda a: 0.0 < a < np.inf, ModelError)
         number("Ground.bristles: damping", damping, "a number not below zero", lambda a: 0.0 <= a < np.inf, ModelError)
+        if callable(self.height):
+            raise ModelError("Ground.bristles expects a level ground, got a height field.\n  fix: use wrenches")
         if not self.friction:
             raise ModelError("Ground.bristles expects a ground with friction, got friction=0.0.\n  fix: use wrenches")
         result = Bristles({}, {})
@@ -160,22 +194,45 @@ class Ground:
 
     def normal(self, place: Expr, velocity: Expr) -> Expr:
         """The normal force n (), N, on a point at `place` (3,) that moves with `velocity` (3,), in axes of the base."""
-        depth, penetration_rate = self.height - place[2], -velocity[2]
+        if callable(self.height):
+            up = self.upward(place)
+            depth, penetration_rate = (self._field(place)[0] - place[2]) * up[2], -Dot(velocity, up)
+        else:
+            depth, penetration_rate = self.height - place[2], -velocity[2]
         damping_factor = _positive(1.0 + self.damping * penetration_rate, 1e-3)
         return self.stiffness * _positive(depth, self.sharpness) * damping_factor
 
     def wrenches(
-        self, mechanism: KinematicTree, frames: Collection[str], q: Positions | None = None, qd: ExprLike | None = None
+        self,
+        mechanism: KinematicTree,
+        frames: Collection[str] | Mapping[str, Sphere | Capsule],
+        q: Positions | None = None,
+        qd: ExprLike | None = None,
     ) -> dict[str, Expr]:
-        """The wrenches of the ground on the origins of frames, for `wrenches=` of `system` and of the dynamics.
+        """The wrenches of the ground on frames, for `wrenches=` of `system` and of the dynamics.
 
-        Raises: ModelError for a frame that is not known; ShapeError for positions of another shape.
+        Args:
+            frames: names of the frames whose origins touch the ground; or a dict from names to what does, a
+                `tx.view.Sphere`, or a `Capsule`, which touches the ground with the balls at its ends.
+        Raises: ModelError for a frame that is not known, or another shape; ShapeError for positions of another shape.
         """
         wrenches: dict[str, Expr] = {}
         for name in [frames] if isinstance(frames, str) else frames:
-            velocity = frame_twist(mechanism, name, q, qd, axes=ALIGNED)[:3]
-            f = self.force(mechanism.pose(name, q)[:3, 3], velocity)
-            wrenches[name] = _at_origin(mechanism, name, q, f)
+            twist = frame_twist(mechanism, name, q, qd, axes=ALIGNED)
+            if not isinstance(frames, Mapping):
+                f = self.force(mechanism.pose(name, q)[:3, 3], twist[:3])
+                wrenches[name] = _at_origin(mechanism, name, q, f)
+                continue
+            ball, T = rounded("Ground.wrenches", frames[name]), mechanism.pose(name, q)
+            if len(ball.directions) > 1:
+                raise ModelError(f"Ground.wrenches expects a Sphere or a Capsule, got {short(frames[name])}")
+            forces = []
+            for centre in ball.corners @ ball.at[:3, :3].T + ball.at[:3, 3]:
+                arm = T[:3, :3] @ centre
+                arm = arm - ball.radius * self.upward(T[:3, 3] + arm)
+                f = self.force(T[:3, 3] + arm, twist[:3] + Cross(twist[3:], arm))
+                forces.append(Concat(T[:3, :3].T @ f, T[:3, :3].T @ Cross(arm, f)))
+            wrenches[name] = functools.reduce(operator.add, forces)
         return wrenches
 
 

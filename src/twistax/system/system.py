@@ -28,6 +28,7 @@ from ..expr import (
     to_expr,
 )
 from ..expr.fields import ExprLike, freeze
+from ..expr.operations.comparisons import ConstraintSet
 from ..expr.operations.soft import Asked, Soft, hard
 from ..expr.packing import pack, unpack
 from ..expr.printing.mathml import mathml
@@ -320,15 +321,21 @@ def free_name(text: str, taken: Container[str]) -> str:
 
 
 def constraints_by_name(constraints: Asked | Iterable[Asked] | Mapping[str, Asked]) -> dict[str, Asked]:
-    """Constraints with names: their own, or their texts. Raises ModelError for what is no constraint."""
+    """Constraints with names: those of a mapping, or their texts; sets of constraints as their parts.
+
+    Raises ModelError for what is no constraint.
+    """
     if isinstance(constraints, Mapping):
         named = dict(constraints)
-    elif not isinstance(constraints, (Iterable, Soft)):
+    elif not isinstance(constraints, (Iterable, Soft, ConstraintSet)):
         raise ModelError(f"constraints must be a constraint, a list or a dict of them, got {constraints!r}")
     else:
         named = {}
-        for constraint in [constraints] if isinstance(constraints, (Expr, Soft)) else constraints:
+        for constraint in [constraints] if isinstance(constraints, (Expr, Soft, ConstraintSet)) else constraints:
             named[free_name(repr(hard(constraint)), named)] = constraint
+    for name, value in list(named.items()):
+        if isinstance(value, ConstraintSet):
+            named |= {f"{name}: {part}": constraint for part, constraint in named.pop(name).named().items()}
     for name, constraint in named.items():
         refuse_conditions("a system", constraint)
         if not isinstance(constraint, (Constraint, Soft)):

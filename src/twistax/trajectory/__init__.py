@@ -3,6 +3,7 @@
 from ..linear import Discretization, Linearization, discretize, linearize
 from ..progress import Progress
 from .adapters.solvers import IPOPT, Fatrop
+from .contact.contact import Contact, Friction
 from .controllers.controller import Controller
 from .controllers.log import ControllerLog, StepRecord
 from .hessians.options import GaussNewton, QuasiNewton
@@ -29,10 +30,12 @@ __all__ = [
     "Accuracy",
     "IPOPT",
     "Collocation",
+    "Contact",
     "Controller",
     "ControllerLog",
     "Discretization",
     "Fatrop",
+    "Friction",
     "GaussNewton",
     "Initial",
     "Integral",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import abc
 import operator
 from typing import Any
 
@@ -83,6 +84,21 @@ class Inequality(Constraint):
     kinks = ({"lhs": [0.0, 2.0, -1.0], "rhs": Constant(1.0)},)
 
 
+class Complementarity(Inequality):
+    """lhs <= rhs, entry by entry: a product of two quantities that are not negative, at most a relaxation.
+
+    In a `tx.trajectory.Problem` it relates the controls of an interval to the states at the end of it, as a time step
+    by the backward Euler method does, and `solve` lowers the relaxation step by step. `tx.trajectory.Contact` makes
+    it.
+
+    Attributes:
+        lhs: the product.
+        rhs: the relaxation, a `Parameter`.
+
+    Raises: ShapeError if the sides do not broadcast.
+    """
+
+
 class Equality(Constraint):
     """lhs == rhs, entry by entry.
 
@@ -93,6 +109,14 @@ class Equality(Constraint):
     infix = "=="
     formula = "<0> = <1>"
     kinks = ({"lhs": [0.0, 1.0, -1.0], "rhs": Constant(1.0)},)
+
+
+class ConstraintSet(abc.ABC):
+    """Constraints that belong together, such as those of a contact. A system takes it in place of one constraint."""
+
+    @abc.abstractmethod
+    def named(self) -> dict[str, Any]:
+        """The constraints, by names that follow the name of the set."""
 
 
 def refuse_conditions(what: str, constraint: Any) -> None:

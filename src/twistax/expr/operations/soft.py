@@ -11,7 +11,7 @@ from ...errors import ModelError, ShapeError
 from ..leaves import Constant
 from ..matrices.linalg import Sum
 from ..node import Expr, to_expr
-from .comparisons import Constraint, refuse_conditions
+from .comparisons import Constraint, ConstraintSet, refuse_conditions
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -65,7 +65,7 @@ class Soft:
 
 
 #: What a system, or a node of a trajectory, may be asked to hold.
-Asked: TypeAlias = Constraint | Soft
+Asked: TypeAlias = Constraint | Soft | ConstraintSet
 
 
 def hard(constraint: Any) -> Any:

@@ -14,7 +14,7 @@ from ...checks import number
 from ...errors import ModelError
 from ...expr import Cond, Constant, Expr, LogSumExp, Min, Norm
 from ...expr.lie import Act
-from ...view import Mesh
+from ...view import Cylinder, Mesh
 from ..algorithms.dynamics import checked
 from ..kinematic_tree import KinematicTree
 from ..models.xml_file import read_xml
@@ -142,6 +142,8 @@ def _distance(a: Solid, b: Solid, T_a: Expr | None, T_b: Expr | None, far: float
 
 def _sphere(solid: Solid) -> tuple[np.ndarray, float]:
     """The centre and the radius of a sphere around a solid, in the frame of its body."""
+    if isinstance(solid, Cylinder):
+        return np.asarray(solid.at[:3, 3]), float(np.hypot(solid.radius, 0.5 * solid.length))
     core = solid.core if isinstance(solid, ConvexPolytope) else rounded("clearances", solid)
     middle = 0.5 * (core.corners.min(axis=0) + core.corners.max(axis=0))
     radius = float(np.linalg.norm(core.corners - middle, axis=1).max()) + core.radius

@@ -67,8 +67,10 @@ class ConvexPolytope:
         kept = hull if self.most is None or len(hull) <= self.most else _fewer(hull, int(self.most))
         if kept is not hull:
             object.__setattr__(self, "corners", kept)
-            core, still = self.core, np.eye(4)
-            missed = max(float(distance(core, Core.point(p), still)) for p in hull)
+            to_point = functools.partial(distance, self.core, Core.point(np.zeros(3)))
+            places = np.tile(np.eye(4), (len(hull), 1, 1))
+            places[:, :3, 3] = hull
+            missed = float(jnp.max(jax.vmap(to_point)(places)))
             object.__setattr__(self, "radius", float(self.radius) + max(missed, 0.0))
             del self.__dict__["core"]
         object.__setattr__(self, "corners", kept)
@@ -156,13 +158,14 @@ def distance(a: Core, b: Core, T: Any) -> jax.Array:
         squares.append(_between(Ea, Eb))
     square = jnp.min(jnp.concatenate(squares))
     if not len(a.normals) and not len(b.normals):
-        return _root(square) - (a.radius + b.radius)
+        return root(square) - (a.radius + b.radius)
     depth = _separation(a, b, Va, Vb, R, p)
     outside = depth > 0.0
-    return jnp.where(outside, _root(jnp.where(outside, square, 1.0)), depth) - (a.radius + b.radius)
+    return jnp.where(outside, root(jnp.where(outside, square, 1.0)), depth) - (a.radius + b.radius)
 
 
-def _root(square: jax.Array) -> jax.Array:
+def root(square: jax.Array) -> jax.Array:
+    """The square root, with a derivative of zero at zero."""
     positive = square > 0.0
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
 

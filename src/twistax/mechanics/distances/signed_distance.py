@@ -19,8 +19,9 @@ Source: C. Ericson, Real-Time Collision Detection (2005), sections 4.4.1, 5.1.3 
 
 from __future__ import annotations
 
+import dataclasses
 import functools
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -29,9 +30,10 @@ from ...errors import ModelError
 from ...expr import Abs, Constant, Cross, Dot, Expr, Max, Min, Sqrt, Where
 from ...expr.fields import ExprLike
 from ...expr.functions.function import Function
-from ...expr.lie import Act, Compose, Inverse
-from ...view import Shape
+from ...expr.lie import Compose, Inverse
+from ...view import Box, Cylinder, Shape
 from ..arguments import pose
+from .cylinder import over_plane, prism_around, to_segment
 from .distance_grid import DistanceGrid
 from .polytope import ConvexPolytope, Core, distance
 from .solids import HalfSpace, Rounded, rounded
@@ -58,8 +60,10 @@ def signed_distance(a: Solid, b: Solid, T_a: ExprLike | None = None, T_b: ExprLi
     Source: C. Ericson, Real-Time Collision Detection (2005), sections 4.4.1, 5.1.3 and 5.1.9.
 
     Args:
-        a, b: `tx.view.Sphere`, `Capsule` or `Box`, `ConvexPolytope`, or one `HalfSpace`; a `Sphere` and a
-            `DistanceGrid`. Their `at` is in the frame of their bodies.
+        a, b: `tx.view.Sphere`, `Capsule`, `Box` or `Cylinder`, `ConvexPolytope`, or one `HalfSpace`; a `Sphere` and a
+            `DistanceGrid`. Their `at` is in the frame of their bodies. A cylinder beside a box, a polytope or another
+            cylinder counts as a prism around it, at most 0.9 % of its radius larger; beside a capsule the depth is that
+            of the deepest point of the capsule's axis.
         T_a, T_b: poses (4, 4) of the bodies in one frame, such as `arm.pose("hand")`; the identity by default.
     Raises:
         ModelError: another shape; two half-spaces; numbers that are no pose.
@@ -68,40 +72,76 @@ def signed_distance(a: Solid, b: Solid, T_a: ExprLike | None = None, T_b: ExprLi
     Example:
         `signed_distance(tx.view.Sphere(0.1), HalfSpace(), arm.pose("hand")) >= 0.02` is a constraint of a `Problem`.
     """
-    owner = "signed_distance"
+    pair, A, B = placed_pair("signed_distance", a, b, T_a, T_b)
+    return pair.distance(Compose(Inverse(A), B))
+
+
+@dataclasses.dataclass(frozen=True)
+class Pair:
+    """Two solids as their distance takes them.
+
+    Attributes:
+        a: a core with half lengths, a polytope or a cylinder.
+        b: the same, or a half-space or a grid; beside a cylinder a half-space or a core without volume.
+        swapped: whether a is the second solid of the pair.
+    """
+
+    a: Rounded | ConvexPolytope | Cylinder
+    b: Any
+    swapped: bool
+
+    def distance(self, T: Expr) -> Expr:
+        """The signed distance () where T is the pose of b in the frame of a."""
+        a, b = self.a, self.b
+        if isinstance(b, DistanceGrid):
+            return b.value(-(T[:3, :3].T @ T[:3, 3])) - a.radius
+        if isinstance(b, HalfSpace):
+            return -Dot(T[:3, 2], T[:3, 3]) - self._reach(T[:3, 2])
+        if isinstance(a, Cylinder):
+            return to_segment(a, float(b.half[2]), T) - b.radius
+        if isinstance(a, Rounded) and isinstance(b, Rounded):
+            return _apart(a, b, T)
+        return Function(functools.partial(distance, Core.of(a), Core.of(b)), (), name="signed_distance")(T)
+
+    def _reach(self, n: Expr) -> Expr:
+        """How far a reaches along -n, a unit vector in its frame."""
+        a = self.a
+        if isinstance(a, Cylinder):
+            return over_plane(a, n)
+        if isinstance(a, ConvexPolytope):
+            heights = Constant(a.core.corners) @ n
+            return a.radius - functools.reduce(Min, [heights[i] for i in range(heights.shape[0])])
+        reach: Expr = Constant(a.radius)
+        for i in a.directions:
+            reach = reach + float(a.half[i]) * Abs(n[i])
+        return reach
+
+
+def placed_pair(owner: str, a: Solid, b: Solid, T_a: ExprLike | None, T_b: ExprLike | None) -> tuple[Pair, Expr, Expr]:
+    """A pair, and the poses of its solids in one frame. Raises ModelError, ShapeError as `signed_distance`."""
     poses = [pose(owner, name, np.eye(4) if T is None else T) for name, T in (("T_a", T_a), ("T_b", T_b))]
-    if isinstance(a, (HalfSpace, DistanceGrid)):
-        a, b, poses = b, a, poses[::-1]
-    if isinstance(b, DistanceGrid):
-        ball = rounded(owner, a)
-        if ball.half.any():
-            raise ModelError(f"{owner} expects a Sphere beside a DistanceGrid, got {short(a)}.\n  fix: several spheres")
-        return b.value(Act(Compose(Inverse(poses[1]), poses[0]), ball.at[:3, 3])) - ball.radius
-    core = a if isinstance(a, ConvexPolytope) else rounded(owner, a)
-    T = Compose(poses[0], Constant(core.at))
-    if isinstance(b, HalfSpace):
-        T = Compose(Inverse(Compose(poses[1], Constant(b.at))), T)
-        return _above(core, T) if isinstance(core, Rounded) else _lowest(core, T)
-    other = b if isinstance(b, ConvexPolytope) else rounded(owner, b)
-    T = Compose(Inverse(T), Compose(poses[1], Constant(other.at)))
-    if isinstance(core, Rounded) and isinstance(other, Rounded):
-        return _apart(core, other, T)
-    between = functools.partial(distance, Core.of(core), Core.of(other))
-    return Function(between, (), name="signed_distance")(T)
+    swapped = isinstance(a, (HalfSpace, DistanceGrid)) or (isinstance(b, Cylinder) and not isinstance(a, Cylinder))
+    first, second = (b, a) if swapped else (a, b)
+    if isinstance(second, DistanceGrid):
+        one: Any = rounded(owner, first)
+        if one.half.any():
+            raise ModelError(
+                f"{owner} expects a Sphere beside a DistanceGrid, got {short(first)}.\n  fix: several spheres"
+            )
+        two: Any = second
+    elif isinstance(first, Cylinder) and isinstance(second, (Cylinder, ConvexPolytope, Box)):
+        one = prism_around(first)
+        two = prism_around(second) if isinstance(second, Cylinder) else _core(owner, second)
+    else:
+        one = _core(owner, first)
+        two = second if isinstance(second, HalfSpace) else _core(owner, second)
+    A, B = poses[::-1] if swapped else poses
+    B = B if isinstance(two, DistanceGrid) else Compose(B, Constant(two.at))  # a grid has its place in itself
+    return Pair(one, two, swapped), Compose(A, Constant(one.at)), B
 
 
-def _lowest(solid: ConvexPolytope, T: Expr) -> Expr:
-    """The height of the lowest corner over the plane z = 0."""
-    heights = Constant(solid.core.corners) @ T[2, :3]
-    return functools.reduce(Min, [heights[i] for i in range(heights.shape[0])]) + T[2, 3] - solid.radius
-
-
-def _above(core: Rounded, T: Expr) -> Expr:
-    """The height of a core over the plane z = 0."""
-    height = T[2, 3] - core.radius
-    for i in core.directions:
-        height = height - float(core.half[i]) * Abs(T[2, i])
-    return height
+def _core(owner: str, solid: Solid) -> Rounded | ConvexPolytope | Cylinder:
+    return solid if isinstance(solid, (ConvexPolytope, Cylinder)) else rounded(owner, solid)
 
 
 def _apart(a: Rounded, b: Rounded, T: Expr) -> Expr:

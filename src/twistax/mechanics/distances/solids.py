@@ -69,4 +69,6 @@ def rounded(owner: str, shape: Any) -> Rounded:
         return Rounded(shape.at, np.array([0.0, 0.0, 0.5 * shape.length]), float(shape.radius))
     if isinstance(shape, Box):
         return Rounded(shape.at, 0.5 * np.asarray(shape.lengths), 0.0)
-    raise ModelError(f"{owner} expects a Sphere, Capsule or Box of tx.view, or a HalfSpace, got {short(shape)}")
+    raise ModelError(
+        f"{owner} expects a Sphere, Capsule, Box or Cylinder of tx.view, or a HalfSpace, got {short(shape)}"
+    )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import time
 from collections.abc import Collection, Mapping
 from typing import Any
@@ -15,6 +16,7 @@ from ...errors import TrajectoryError, TwistaxError
 from ...jax_inside import in_double
 from ...progress import Progress
 from ..adapters.solvers import SolvedBy
+from ..contact.relaxed import lowered
 from ..hessians.options import by_updates
 from ..result.between_nodes import hold_between_nodes
 from ..result.many import many_results
@@ -127,19 +129,23 @@ def solved(problem: Any, options: SolveOptions) -> Any:
         raise TrajectoryError(
             f"QuasiNewton() has no second derivatives for {options.solver!r}.\n  fix: leave out hessian= or solver="
         )
-    if _is_by_implicit_steps(problem, options):
-        result = problem.implicit.solve(**{it.name: getattr(options, it.name) for it in dataclasses.fields(options)})
-        return dataclasses.replace(result, message=f"{result.message} Solved by {IMPLICIT_NAME}, as the start was.")
     line = options.progress
     if not isinstance(line, Progress):
         # A callback shows what its user wants to see.
         line = Progress(shown=False if line is None and options.callback is not None else line)
     with line:
-        return _with_line(problem, dataclasses.replace(options, progress=line), line)
+        options = dataclasses.replace(options, progress=line)
+        once = functools.partial(_with_line, problem, line)
+        if options.warm is not None or Strategy.LOWERED_RELAXATIONS not in options.strategies:
+            return once(options)
+        return lowered(problem, options, once)
 
 
-def _with_line(problem: Any, options: SolveOptions, line: Progress) -> Any:
+def _with_line(problem: Any, line: Progress, options: SolveOptions) -> Any:
     """Solve, and show each iteration."""
+    if _is_by_implicit_steps(problem, options):
+        result = problem.implicit.solve(**{it.name: getattr(options, it.name) for it in dataclasses.fields(options)})
+        return dataclasses.replace(result, message=f"{result.message} Solved by {IMPLICIT_NAME}, as the start was.")
     callback, sign = options.callback, problem.sign
     report: Callback | None = None
     if callback is not None or line.shown:

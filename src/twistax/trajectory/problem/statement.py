@@ -24,6 +24,7 @@ from ...expr import (
     leaves_of,
     to_expr,
 )
+from ...expr.operations.comparisons import Complementarity
 from ...system import entry_names, need_finite
 from ...system.dynamics import Dynamics
 from .controls import is_rate
@@ -94,6 +95,7 @@ class Reads(enum.Enum):
     STATE = "states and time: at every point, shared ends once"
     ENDS = "states that are linear over each interval: at its ends, shared ends once"
     BOTH = "states and controls: at every point, shared ends from both sides"
+    STEP = "states at the end of an interval, and the controls along it: there alone"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -136,7 +138,13 @@ class PathRows:
         mask[:, 1:, [reads is Reads.CONTROL for reads in self.reads]] = False
         mask[:, -1, [reads is Reads.STATE for reads in self.reads]] = False
         mask[:, 1:, [reads is Reads.ENDS for reads in self.reads]] = False
+        mask[:, :-1, [reads is Reads.STEP for reads in self.reads]] = False
         return mask
+
+    @property
+    def of_steps(self) -> frozenset[str]:
+        """Names of rows that are imposed at the ends of intervals alone, with the controls along them."""
+        return frozenset(name for name, reads in zip(self.names, self.reads) if reads is Reads.STEP)
 
     def at_nodes(self) -> Array:
         """(rows,) those that depend on a node alone, not on controls."""
@@ -177,6 +185,8 @@ def describe_path(dynamics: Dynamics, norms: Any, free: Collection[str], straigh
             residuals.append(left if is_equality else without_end(left))
             entries = itertools.compress(entry_names(name, row.shape), finite.ravel())
             added = [_row(entry, list(leaves_of(row)), is_equality, free) for entry in entries]
+            if isinstance(dynamics.system.constraints.get(name), Complementarity):
+                added = [it._replace(reads=Reads.STEP) if it.reads is Reads.BOTH else it for it in added]
             norm_bounds += [norm_bound(row)] * len(added)
             rows += added
     bounds = tuple(

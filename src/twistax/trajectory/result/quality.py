@@ -14,6 +14,7 @@ from numpy import ndarray as Array
 
 from ...errors import IntegrationError, TrajectoryError
 from ...jax_inside import in_double
+from ..contact.relaxed import products
 from ..strategy.accuracy import Accuracy
 from ..strategy.outcome import Outcome
 from ..strategy.status import AT_OPTIMUM, Status
@@ -117,6 +118,11 @@ class Quality:
         return {name: size for name, size in self.violations.items() if name in self.problem.soft}
 
     @functools.cached_property
+    def complementarity(self) -> dict[str, float]:
+        """Name of a complementarity constraint, entry by entry -> its largest product at the ends of intervals."""
+        return products(self)
+
+    @functools.cached_property
     def undetermined(self) -> dict[str, Array]:
         """Controls that the optimum does not determine: name of an entry -> (intervals,) the fraction, 0 to 1, of a
         change of it that has no effect.
@@ -173,8 +179,8 @@ def _explained(result: Any, undetermined: list[Undetermined]) -> str:
         f"first-order conditions: {errors}",
         f"active, by multiplier: {', '.join(f'{name} ({size[name]:.3g})' for name in result.active) or 'none'}",
     ]
-    if result.soft:
-        lines.append("soft constraints, by violation: " + ", ".join(f"{n} {v:.3g}" for n, v in result.soft.items()))
+    left = {"soft constraints, by violation": result.soft, "complementarity, products left": result.complementarity}
+    lines += [f"{what}: {', '.join(f'{n} {v:.3g}' for n, v in of.items())}" for what, of in left.items() if of]
     if undetermined:
         lines.append(_open(undetermined, result.problem.sign))
     if result.accuracy is not None:

@@ -171,11 +171,12 @@ def violations_of(problem: StatedPhase, outcome: Outcome, params: dict[str, Arra
         ts = times_of(problem, point)
         controls = shooting.local.controls.split(np.asarray(point.us))
         ends = [({n: np.asarray(a)[s] for n, a in point.xs.items()}, ts[s]) for s in (slice(None, -1), slice(1, None))]
-        sizes = [
+        first, last = (
             violations(np.asarray(problem.shown_rows(t, x, controls, params)), path.shown_equality).max(axis=0)
             for x, t in ends
-        ]
-        largest |= largest_by_name(path.shown, np.maximum(*sizes))
+        )
+        first[np.isin(path.shown, list(path.of_steps))] = 0.0
+        largest |= largest_by_name(path.shown, np.maximum(first, last))
     at_nodes = shooting.at_single_node
     sizes_at_nodes = violations(np.asarray(outcome.values.rows), shooting.equality)
     largest |= shooting.node_labels.largest(sizes_at_nodes[at_nodes])

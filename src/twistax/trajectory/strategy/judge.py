@@ -138,6 +138,8 @@ def _exceeded(phase: Any, closely: Closely, shares: Array, tolerance: float, pla
     exceeded = dict[str, Exceeded]()
     for row in np.flatnonzero(shares.max(axis=0, initial=0.0) > tolerance):
         name, stage = phase.path.names[row], int(shares[:, row].argmax())
+        if name in phase.path.of_steps:
+            continue
         share = float(shares[stage, row])
         if name not in exceeded or share > exceeded[name].share:
             by = float(closely.rows[stage, row])

@@ -52,6 +52,7 @@ class Strategy(enum.Enum):
     IMPLICIT_STEPS = (
         "where explicit steps are unstable and no optimum comes out, the problem is solved by implicit ones"
     )
+    LOWERED_RELAXATIONS = "complementarity constraints are relaxed at first, and less with each warm solve"
 
     def __reduce_ex__(self, protocol: Any) -> Any:
         """By name, in pickles and copies: sentences change."""

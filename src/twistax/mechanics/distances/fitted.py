@@ -1,0 +1,118 @@
+"""Spheres and capsules around a mesh, for distances that cost less than those of its hull."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from ...checks import whole
+from ...errors import ModelError
+from ...view import Capsule, Mesh, Sphere
+from .polytope import ConvexPolytope
+
+#: Steps towards the farthest point for the centre of a ball. The radius is then exact for the centre, which is within
+#: a hundredth of the least radius: M. Badoiu, K. Clarkson, Smaller core-sets for balls, SODA (2003).
+_STEPS = 400
+
+
+def fitted_capsule(mesh: Any) -> Capsule:
+    """A capsule that contains a mesh, of small volume.
+
+    The axis starts along a principal axis of the corners, and a simplex search turns it to the least volume. Around an
+    axis the radius is that of the least circle around the projections, and the ends are as near as the corners allow.
+
+    Args:
+        mesh: a `tx.view.Mesh`, a `ConvexPolytope`, or points (k, 3), m.
+    Raises: InputError for points that span no volume, or are not finite.
+
+    Example:
+        `signed_distance(fitted_capsule(Mesh("forearm.stl")), HalfSpace(), arm.pose("forearm"))`
+    """
+    points = _corners(mesh)
+
+    def volume(direction: NDArray[np.float64]) -> float:
+        _, radius, low, high = _around(points, direction)
+        return float(np.pi * radius**2 * (high - low + 4.0 / 3.0 * radius))
+
+    axes = np.linalg.svd(points - points.mean(axis=0))[2]
+    start, u, v = sorted(axes, key=volume)
+    turned = minimize(lambda s: volume(start + s[0] * u + s[1] * v), np.zeros(2), method="Nelder-Mead")
+    direction = start + turned.x[0] * u + turned.x[1] * v
+    frame, radius, low, high = _around(points, direction)
+    at = np.eye(4)
+    at[:3, :3], at[:3, 3] = frame[:, :3], frame[:, 3] + 0.5 * (low + high) * frame[:, 2]
+    return Capsule(radius, max(high - low, 1e-9 * radius), at=at)
+
+
+def fitted_spheres(mesh: Any, count: int) -> list[Sphere]:
+    """At most so many spheres that together contain the convex hull of a mesh.
+
+    The hull is cut in two across the longest axis of its largest part, again and again; each part has a small ball
+    around it.
+
+    Args:
+        mesh: as for `fitted_capsule`.
+        count: of spheres, 1 or more.
+    Raises: InputError as `fitted_capsule`; ModelError for another count.
+
+    Example:
+        `clearances(arm, {"forearm": fitted_spheres(Mesh("forearm.stl"), 6)})`
+    """
+    whole("fitted_spheres: count", count, 1, ModelError)
+    parts = [_corners(mesh)]
+    while len(parts) < count:
+        largest = max(range(len(parts)), key=lambda k: _ball(parts[k])[1])
+        points = parts.pop(largest)
+        axis = np.linalg.svd(points - points.mean(axis=0))[2][0]
+        heights = points @ axis
+        parts += _halves(points, heights - 0.5 * (heights.min() + heights.max()))
+    return [Sphere(radius, at=centre) for centre, radius in map(_ball, parts)]
+
+
+def _corners(mesh: Any) -> NDArray[np.float64]:
+    """The corners of the hull, in the frame of the body."""
+    hull = (
+        mesh if isinstance(mesh, ConvexPolytope) else ConvexPolytope(mesh.corners() if isinstance(mesh, Mesh) else mesh)
+    )
+    return np.asarray(hull.core.corners @ hull.at[:3, :3].T + hull.at[:3, 3])
+
+
+def _halves(points: NDArray[np.float64], heights: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """Points whose hulls together are that of the points, below and above height zero."""
+    below, above = points[heights <= 0.0], points[heights > 0.0]
+    low, high = heights[heights <= 0.0], heights[heights > 0.0]
+    share = (-low[:, None] / (high[None] - low[:, None]))[..., None]
+    cut = (below[:, None] + share * (above[None] - below[:, None])).reshape(-1, 3)
+    return [np.concatenate([half, cut]) for half in (below, above)]
+
+
+def _ball(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+    """The centre and the radius of a ball around points of any dimension, nearly the least one."""
+    centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    best, least = centre, np.inf
+    for k in range(1, _STEPS):
+        away = np.linalg.norm(points - centre, axis=1)
+        if away.max() < least:
+            best, least = centre, float(away.max())
+        centre = centre + (points[int(away.argmax())] - centre) / (k + 1)
+    return best, least
+
+
+def _around(
+    points: NDArray[np.float64], direction: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], float, float, float]:
+    """A frame (3, 4) whose z is the axis of a capsule around points, its radius, and both ends along z."""
+    z = direction / np.linalg.norm(direction)
+    x = np.cross(z, np.eye(3)[int(np.abs(z).argmin())])
+    R = np.column_stack([x / np.linalg.norm(x), np.cross(z, x / np.linalg.norm(x)), z])
+    local = points @ R
+    middle, radius = _ball(local[:, :2])
+    reach = np.sqrt(np.maximum(radius**2 - np.sum((local[:, :2] - middle) ** 2, axis=1), 0.0))
+    low, high = float((local[:, 2] + reach).min()), float((local[:, 2] - reach).max())
+    if high < low:  # one ball is enough
+        low = high = 0.5 * (low + high)
+        radius = float(np.linalg.norm(local - [*middle, low], axis=1).max())
+    return np.column_stack([R, R @ [*middle, 0.0]]), radius, low, high

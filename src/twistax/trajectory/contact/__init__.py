@@ -1,0 +1,1 @@
+"""Contact by complementarity constraints."""

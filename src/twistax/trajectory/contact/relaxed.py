@@ -1,0 +1,132 @@
+"""Solves of a problem with complementarity constraints, whose relaxation goes to the value of its parameter.
+
+Source: S. Scholtes, Convergence properties of a regularization scheme for mathematical programs with complementarity
+constraints, SIAM Journal on Optimization 11 (2001), equation (1).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from ...expr import Parameter, leaves_of
+from ...expr.operations.comparisons import Complementarity
+from ...jax_inside import in_double
+from ...system import entry_names, name_of
+from ..strategy.status import AT_OPTIMUM, Status
+from ..strategy.strategies import Strategy
+from ..transcription.point_values import PointValues
+
+#: The first relaxation over a typical product, each over the one before, and the largest ratio after failures. On a
+#: hopper the sequence takes 121 iterations; from a tenth, tenfold each, 1,190.
+_FIRST, _LOWER, _LEAST = 0.01, 0.3, 0.8
+#: The most iterations of a warm solve, which takes few where it does not fail.
+_MOST = 150
+#: After these a smaller relaxation is tried.
+_GOING_ON = (*AT_OPTIMUM, Status.STALLED, Status.MAX_ITERATIONS, Status.INFEASIBLE)
+#: Saddles are left at relaxations above this share of a typical product, and at the last one: between these every
+#: search comes back.
+_OPEN = 1e-4
+
+
+def relaxations(problem: Any) -> dict[str, Any]:
+    """The name of each entry of a complementarity constraint, with its relaxation, an expression."""
+    rows = dict[str, Any]()
+    for segment, part in zip(problem.shooting.segments, problem.parts):
+        for name, constraint in part.dynamics.system.constraints.items():
+            if isinstance(constraint, Complementarity):
+                entries = entry_names(name, constraint.residual().check_shape())
+                rows |= {problem.shooting.named(segment, entry): constraint.rhs for entry in entries}
+    return rows
+
+
+def products(result: Any) -> dict[str, float]:
+    """The largest value of each entry of a complementarity constraint."""
+    shooting, left = result.problem.shooting, dict[str, float]()
+    names = np.where(shooting.exists, shooting.names.astype(str), "")
+    for name, limit in relaxations(result.problem).items():
+        known = {leaf.name: result.params[leaf.name] for leaf in leaves_of(limit) if isinstance(leaf, Parameter)}
+        most = float(np.max(PointValues.of([limit])(np.zeros(1), {}, {}, known)))
+        left[name] = most - float(result.slacks[names == name].min(initial=np.inf)) + result.violations[name]
+    return {name: value for name, value in left.items() if np.isfinite(value)}
+
+
+def lowered(problem: Any, options: Any, solve: Callable[[Any], Any]) -> Any:
+    """The result with the last relaxations, after solves with larger ones.
+
+    Args:
+        solve: solves with other options.
+    """
+    begin = time.perf_counter()
+    changed = {name_of(key): value for key, value in (options.params or {}).items()}
+    last = _last(problem, changed)
+    if not last:
+        return solve(options)
+    size = _typical(problem, options)
+    every: list[Any] = []
+
+    def at(value: float, start: Any) -> Any:
+        """The result with this relaxation, from the guess or from the result with a larger one."""
+        is_last = value <= min(last.values())
+        other: dict[str, Any] = {"params": changed | {name: max(value, least) for name, least in last.items()}}
+        if not is_last:
+            other |= {"refine": None, "between": None, "mesh_tolerance": np.inf}
+        if options.max_seconds is not None:
+            other["max_seconds"] = max(options.max_seconds - (time.perf_counter() - begin), 1e-3)
+        if start is not None:
+            useful = [Strategy.IMPLICIT_STEPS, *[Strategy.LEAVING_SADDLES] * (is_last or value > _OPEN * size)]
+            other |= dict.fromkeys(("guess", "final_time_guess", "seed")) | {"guesses": 1, "warm": start}
+            other["strategies"] = tuple(it for it in options.strategies if it in useful)
+            other["max_iterations"] = min(options.max_iterations, _MOST)
+        every.append(solve(dataclasses.replace(options, **other)))
+        return every[-1]
+
+    value, ratio = _FIRST * size, _LOWER
+    best = result = at(value, None)
+    while result.status in _GOING_ON and value > min(last.values()) and ratio < _LEAST:
+        following = value * ratio
+        result = at(following, best)
+        if result.status not in AT_OPTIMUM:
+            result = at(following, None)  # from the guess, for another pattern of contacts
+        if result.status in AT_OPTIMUM:
+            best, value = result, following
+        else:
+            ratio = ratio**0.5
+    return dataclasses.replace(
+        result,
+        message=f"{result.message} {_remark(len(every), result, best, size)}",
+        iterations=sum(solved.iterations for solved in every),
+        compile_seconds=sum(solved.compile_seconds for solved in every),
+        solve_seconds=sum(solved.solve_seconds for solved in every),
+    )
+
+
+def _last(problem: Any, changed: Mapping[str, Any]) -> dict[str, float]:
+    """The values of the parameters that are relaxations."""
+    leaves = {leaf.name for limit in relaxations(problem).values() for leaf in leaves_of(limit)}
+    free = {box.name for box in problem.border.boxes}
+    values = problem.values(changed)
+    return {name: float(values[name]) for name in sorted(leaves - free) if name in values}
+
+
+def _typical(problem: Any, options: Any) -> float:
+    """By how much a move of all unknowns by their units changes the products at most."""
+    with in_double():
+        plain, instance, *_ = problem.started(**options.arguments)
+        core = problem.core(options.needed, plain, instance)
+        sizes = core.measure.row_sizes(core.units(plain, instance, is_guess=True))
+    return float(sizes[np.isin(problem.shooting.names.astype(str), list(relaxations(problem)))].max())
+
+
+def _remark(count: int, result: Any, best: Any, size: float) -> str:
+    if best is not result:
+        return f"It is the last of {count} solves with smaller and smaller relaxations of complementarity."
+    largest = max(result.complementarity.values(), default=0.0)
+    return (
+        f"The last of {count} relaxations of complementarity: the largest product that is left is {largest:.2g}, where "
+        f"a typical one is {size:.2g}."
+    )
