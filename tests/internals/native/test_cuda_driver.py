@@ -188,9 +188,9 @@ def test_columns_of_a_large_program_are_kernels_each(device: _Device, monkeypatc
         body = Straight(part, 1)
 
         def run(rows: int, *arguments: Any) -> list[Any]:
-            found = dict(zip(body.written, CudaKernel(body).run([arguments[k] for k in body.read]), strict=True))
+            results = dict(zip(body.written, CudaKernel(body).run([arguments[k] for k in body.read]), strict=True))
             return [
-                found[k].reshape(rows, *a.shape) if k in found else np.zeros((rows, *a.shape))
+                results[k].reshape(rows, *a.shape) if k in results else np.zeros((rows, *a.shape))
                 for k, a in enumerate(body.results)
             ]
 

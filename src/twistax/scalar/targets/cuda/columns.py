@@ -23,7 +23,7 @@ def parts(program: ScalarProgram) -> list[ScalarProgram]:
     """Programs that give some columns of the results each, in order; the program itself where that does not pay."""
     if program.operations <= MOST_OPERATIONS or not all(nodes.ndim for nodes in program.outputs):
         return [program]
-    found = list[ScalarProgram]()
+    programs = list[ScalarProgram]()
     widths = [nodes.shape[-1] for nodes in program.outputs]
     columns = [(k, j) for k, width in enumerate(widths) for j in range(width)]
     while columns:
@@ -34,10 +34,10 @@ def parts(program: ScalarProgram) -> list[ScalarProgram]:
             if wider.operations > MOST_OPERATIONS:
                 break
             part, count = wider, count + 1
-        found.append(part)
+        programs.append(part)
         columns = columns[count:]
-    repeated = sum(part.operations for part in found) / program.operations
-    return found if repeated <= MOST_REPEATED else [program]
+    repeated = sum(part.operations for part in programs) / program.operations
+    return programs if repeated <= MOST_REPEATED else [program]
 
 
 def _of_columns(program: ScalarProgram, columns: Sequence[tuple[int, int]]) -> ScalarProgram:

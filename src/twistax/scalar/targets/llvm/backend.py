@@ -174,7 +174,7 @@ class KernelRunner:
             return kernel
         # The first is alone: with it the self-test calls JAX, whose settings are those of a thread.
         with concurrent.futures.ThreadPoolExecutor(len(rest)) as threads:
-            kernels = [kernel, *(each for each in threads.map(built, rest) if each is not None)]
+            kernels = [kernel, *(made for made in threads.map(built, rest) if made is not None)]
         return joined(kernels) if len(kernels) > len(rest) else None
 
     def without_kernel(self, function: Step, shapes: Shapes) -> str | None:
