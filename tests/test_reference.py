@@ -44,6 +44,7 @@ NO_ERRORS = {
         estimation.BatchEstimate estimation.Combination estimation.ParameterEstimate Solution Statistics
         Sweep Trim charts.Coordinates diffrax.AmbientTerm diffrax.LieController diffrax.LieTerm mechanics.DaveModel
         mechanics.BaseParameters mechanics.Bristles mechanics.GivenForces mechanics.ReachResult mechanics.ReachStatus
+        mechanics.WitnessPoints
         mechanics.Regressor mechanics.Identification mechanics.IdentificationStatus mechanics.DifferentialStep
         mechanics.OperationalSpace mechanics.StepStatus
         mechanics.joints.Screws mechanics.environment.earth.Geodetic mechanics.flight.AirData

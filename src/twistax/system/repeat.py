@@ -13,6 +13,7 @@ import numpy as np
 from ..checks import listed, short, whole
 from ..errors import ModelError
 from ..expr import Concat, Control, Expr, Leaf, Parameter, Reshaped, State, Vmap, leaves_of, postorder, substitute
+from ..expr.operations.comparisons import Complementarity
 from ..expr.operations.soft import Soft
 from ..expr.transformations.vmap import elements_by
 from ..groups.power import Power
@@ -92,6 +93,8 @@ class _Fleet:
         return Vmap(one, [many for _, many in pairs])
 
     def constraint(self, constraint: Any) -> Any:
+        if isinstance(constraint, Complementarity):
+            return Complementarity(self.copies(constraint.lhs), self._weight(constraint.rhs))
         if not isinstance(constraint, Soft):
             return self.copies(constraint)
         weights = {"l1": constraint.l1, "l2": constraint.l2}

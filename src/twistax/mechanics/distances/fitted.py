@@ -50,8 +50,8 @@ def fitted_capsule(mesh: Any) -> Capsule:
 def fitted_spheres(mesh: Any, count: int) -> list[Sphere]:
     """At most so many spheres that together contain the convex hull of a mesh.
 
-    The hull is cut in two across the longest axis of its largest part, again and again; each part has a small ball
-    around it.
+    Each point p of the hull has $|p - c_i| <= r_i$ for one of the centres and radii, m. The hull is cut in two across
+    the longest axis of its largest part, again and again; each part has a small ball around it.
 
     Args:
         mesh: as for `fitted_capsule`.
