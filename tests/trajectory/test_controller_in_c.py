@@ -24,11 +24,11 @@ def built(command: list[str]) -> None:
 
 
 @pytest.mark.parametrize("flags", [("-O0",), ("-O1", "-fsanitize=undefined,address", "-fno-sanitize-recover")])
-@pytest.mark.parametrize("problem", [regulator, pointing])
-def test_iterates_are_those_of_python(problem: Any, flags: tuple[str, ...], tmp_path: Path) -> None:
+@pytest.mark.parametrize(("problem", "memory"), [(regulator, 0), (pointing, 256 * 1024)], ids=["regulator", "pointing"])
+def test_iterates_are_those_of_python(problem: Any, memory: int, flags: tuple[str, ...], tmp_path: Path) -> None:
     controller = full(problem())
     before = controller.us["u"]
-    files = controller.to_c(tmp_path, name="loop")
+    files = controller.to_c(tmp_path, name="loop", memory=memory)
     np.testing.assert_array_equal(controller.us["u"], before)
     assert len(controller.log) == 0
     target = tmp_path / "test"
@@ -39,7 +39,7 @@ def test_iterates_are_those_of_python(problem: Any, flags: tuple[str, ...], tmp_
 
 
 def test_it_allocates_nothing_and_has_the_size_that_the_header_states(tmp_path: Path) -> None:
-    files = regulator().to_c(tmp_path, name="loop", max_iterations=3)
+    files = regulator().controller(max_iterations=3).to_c(tmp_path, name="loop", memory=0)
     made = tmp_path / "loop.o"
     built(["-O1", "-c", str(files.source), "-o", str(made)])
     names = subprocess.run(["nm", str(made)], capture_output=True, text=True, check=True).stdout

@@ -30,12 +30,13 @@ _TIMED = """
 static loop_controller c;
 int main(void)
 {{
-  static const double x[] = {{{state}}};
+  static const double states[2][{size}] = {{{states}}};
   double u[16], iterations = 0;
   loop_report report;
   loop_init(&c);
   const clock_t begin = clock();
   for (int k = 0; k < {calls}; k++) {{
+    const double *const x = states[k % 2];
     loop_feedback(&c{places}{controls}, NULL, NULL, &report);
     iterations += report.iterations;
   }}
@@ -136,7 +137,7 @@ def _cost(case: Callable[[], ControlLoop], iterations: int) -> float:
 
 @functools.cache
 def _in_c(case: Callable[[], ControlLoop]) -> tuple[float, float]:
-    """Time of an iteration, us, and workspace, KiB, of its C file."""
+    """Time of an iteration, us, and workspace, KiB, of its C file: calls of five iterations, from a kick and its reverse."""
     compiler = which("cc")
     if compiler is None:
         raise Absent("no C compiler")
@@ -144,12 +145,13 @@ def _in_c(case: Callable[[], ControlLoop]) -> tuple[float, float]:
     files = problem.to_c(folder, name="loop", max_iterations=5, tolerance=1e-9)
     sizes = [np.size(rest[state.name]) for state in problem.dynamics.states]
     with in_double():
-        x = problem.dynamics.group.retract(rest, case().kick)
-    state = ", ".join(repr(float(v)) for s in problem.dynamics.states for v in np.ravel(x[s.name]))
+        kicked = [problem.dynamics.group.retract(rest, kick) for kick in (case().kick, -case().kick)]
+    rows = [", ".join(repr(float(v)) for s in problem.dynamics.states for v in np.ravel(x[s.name])) for x in kicked]
+    states = ", ".join(f"{{{row}}}" for row in rows)
     places = "".join(f", x + {before}" for before in np.cumsum([0, *sizes[:-1]]))
     controls = "".join(f", u + {4 * k}" for k in range(len(problem.dynamics.controls)))
     main = folder / "main.c"
-    main.write_text(_TIMED.format(state=state, calls=200, places=places, controls=controls))
+    main.write_text(_TIMED.format(states=states, size=sum(sizes), calls=200, places=places, controls=controls))
     target = folder / "main"
     subprocess.run([compiler, *_FLAGS, str(files.source), str(main), "-lm", "-o", str(target)], check=True)
     done = subprocess.run([str(target)], check=True, capture_output=True, text=True)
