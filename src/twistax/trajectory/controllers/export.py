@@ -82,8 +82,8 @@ class ControllerCode:
 
     @functools.cached_property
     def _window(self) -> int:
-        """How many intervals are evaluated together: all where the controller may take the memory, which is faster; else
-        as many as the memory of the linear system has room for.
+        """How many intervals are evaluated together: all where the controller may take the memory, which is faster,
+        else as many as the memory of the linear system has room for.
         """
         window, phase = LANES, self._staged.transcription
         intervals = phase.phases[0].intervals
