@@ -110,7 +110,7 @@ def _compiled(name: str, program: dict[str, Any]) -> Any:
     names = ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]
     silent = {f"print_{what}": False for what in ("header", "iteration", "status", "time")}
     of_qp = {f"print_{what}": False for what in ("header", "iter", "info")} | {"error_on_fail": False}
-    options = {
+    options: dict[str, Any] = {
         **silent,
         "error_on_fail": False,
         "max_iter": _ITERATIONS,
