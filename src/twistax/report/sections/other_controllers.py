@@ -74,30 +74,30 @@ def _quadrotor() -> _Stated:
     return _Stated(x, u, rate, running, final, (0.3 - hover, 4.5 - hover), rest, kicked, 20)
 
 
-def _transcribed(stated: _Stated) -> tuple[dict[str, Any], dict[str, Any]]:
+def _transcribed(loop_in_casadi: _Stated) -> tuple[dict[str, Any], dict[str, Any]]:
     """Multiple shooting by RK4: the program, and its arguments."""
     ca = needed("casadi")
-    x, u, N = stated.x, stated.u, stated.intervals
+    x, u, N = loop_in_casadi.x, loop_in_casadi.u, loop_in_casadi.intervals
     nx, nu = x.numel(), u.numel()
-    f = ca.Function("f", [x, u], [stated.rate])
+    f = ca.Function("f", [x, u], [loop_in_casadi.rate])
     k1 = f(x, u)
     k2 = f(x + LENGTH / 2 * k1, u)
     k3 = f(x + LENGTH / 2 * k2, u)
     k4 = f(x + LENGTH * k3, u)
     step = ca.Function("step", [x, u], [x + LENGTH / 6 * (k1 + 2 * k2 + 2 * k3 + k4)])
-    running = ca.Function("running", [x, u], [stated.running])
+    running = ca.Function("running", [x, u], [loop_in_casadi.running])
     xs, us = [ca.SX.sym(f"x{k}", nx) for k in range(N + 1)], [ca.SX.sym(f"u{k}", nu) for k in range(N)]
     start, gaps = ca.SX.sym("start", nx), []
     for k in range(N):
         gaps += [xs[k + 1] - step(xs[k], us[k])] + [xs[0] - start] * (k == 0)
     ends = [running(xs[k], us[k]) + running(xs[k + 1], us[k]) for k in range(N)]
-    cost = LENGTH / 2 * sum(ends) + ca.Function("final", [x], [stated.final])(xs[N])
+    cost = LENGTH / 2 * sum(ends) + ca.Function("final", [x], [loop_in_casadi.final])(xs[N])
     unknowns = ca.vertcat(*[a for pair in zip(xs, us) for a in pair], xs[N])
     bounds = [
         np.r_[np.tile(np.r_[np.full(nx, -side), np.full(nu, limit)], N), np.full(nx, -side)]
-        for side, limit in zip((np.inf, -np.inf), stated.limits)
+        for side, limit in zip((np.inf, -np.inf), loop_in_casadi.limits)
     ]
-    guess = np.r_[np.tile(np.r_[stated.rest, np.zeros(nu)], N), stated.rest]
+    guess = np.r_[np.tile(np.r_[loop_in_casadi.rest, np.zeros(nu)], N), loop_in_casadi.rest]
     program = {"x": unknowns, "f": cost, "g": ca.vertcat(*gaps), "p": start}
     return program, {"x0": guess, "lbx": bounds[0], "ubx": bounds[1], "lbg": 0.0, "ubg": 0.0}
 
@@ -143,22 +143,22 @@ def _fatrop(name: str, program: dict[str, Any], iterations: int = _ITERATIONS) -
 @functools.cache
 def _microseconds(state: Callable[[], _Stated], make: Callable[..., Any]) -> float:
     """Time of an iteration: calls of five, each from the plan of the last one, from both kicks in turn."""
-    stated = state()
-    program, arguments = _transcribed(stated)
-    method, seconds = make(f"loop{stated.intervals}", program), []
+    loop_in_casadi = state()
+    program, arguments = _transcribed(loop_in_casadi)
+    method, seconds = make(f"loop{loop_in_casadi.intervals}", program), []
     for k in range(_CALLS):
         begin = time.perf_counter()
-        result = method(p=stated.kicked[k % 2], **arguments)
+        result = method(p=loop_in_casadi.kicked[k % 2], **arguments)
         seconds.append(time.perf_counter() - begin)
         arguments |= {"x0": result["x"], "lam_x0": result["lam_x"], "lam_g0": result["lam_g"]}
     return 1e6 * float(np.median(seconds)) / _ITERATIONS
 
 
-def _cost_apart(state: Callable[[], _Stated], case: Callable[[], ControlLoop]) -> float:
+def _difference_of_costs(state: Callable[[], _Stated], case: Callable[[], ControlLoop]) -> float:
     """Optimal cost from the kick, there and here, relative."""
-    stated, loop = state(), case()
-    program, arguments = _transcribed(stated)
-    there = float(_fatrop("full", program, 100)(p=stated.kicked[0], **arguments)["f"])
+    loop_in_casadi, loop = state(), case()
+    program, arguments = _transcribed(loop_in_casadi)
+    there = float(_fatrop("full", program, 100)(p=loop_in_casadi.kicked[0], **arguments)["f"])
     with in_double():
         kicked = {name: np.asarray(a) for name, a in loop.problem.dynamics.group.retract(loop.rest, loop.kick).items()}
         controller = loop.problem.controller(loop.problem.solve(initial=kicked), max_iterations=100)
@@ -166,10 +166,14 @@ def _cost_apart(state: Callable[[], _Stated], case: Callable[[], ControlLoop]) -
     return abs(controller.log.costs[-1] / there - 1.0)
 
 
-def _rows(name: str, apart: float, state: Callable[[], _Stated], case: Callable[[], ControlLoop]) -> Section:
+def _rows(
+    name: str, largest_difference: float, state: Callable[[], _Stated], case: Callable[[], ControlLoop]
+) -> Section:
     best = lambda: min(_microseconds(state, make) for make in (_compiled, _fatrop))  # noqa: E731
     return [
-        slow(name, "optimal costs are apart by, relative", at_most(apart), _cost_apart, state, case),
+        slow(
+            name, "optimal costs are apart by, relative", at_most(largest_difference), _difference_of_costs, state, case
+        ),
         slow(
             name, "CasADi's SQP with qrqp in generated C, an iteration, us", between(), _microseconds, state, _compiled
         ),

@@ -184,6 +184,17 @@ class ControllerCode:
 
     # ---- the source -------------------------------------------------------------------------------------------------
 
+    def _core(self) -> str:
+        phase, stages = self._staged.transcription.phases[0], self._stages
+        return controller_core(
+            states=phase.n,
+            controls=phase.m,
+            parameters=stages.parameters,
+            inequalities=sum(stages.inequalities),
+            equalities=sum(stages.equalities),
+            stages=len(phase.method.b),
+        )
+
     def _source(self) -> dict[str, Any]:
         sizes, solve, staged = self._sizes, self._solve, self._staged
         phase, point = staged.transcription.phases[0], staged.parts[0].point
@@ -201,14 +212,7 @@ class ControllerCode:
         texts += [f"#define {name} NULL\n" for name in ("unit_rows", "unit_equalities") if name in empty]
         return {
             **sizes,
-            "core": controller_core(
-                states=phase.n,
-                controls=phase.m,
-                parameters=stages.parameters,
-                inequalities=sum(stages.inequalities),
-                equalities=sum(stages.equalities),
-                stages=len(phase.method.b),
-            ),
+            "core": self._core(),
             "constants": "\n".join([self._phase.text, *texts]),
             "options": ", ".join(_REAL.literal(getattr(solve.options, name)) for name, _ in solve.options._fields_),
             "states": phase.n,
