@@ -36,6 +36,14 @@ def test_a_convex_problem_is_reached_from_every_start() -> None:
     assert rows["starts that reach it, of 8"].value == 8.0
 
 
+def test_control_loops_are_those_that_casadi_has() -> None:
+    pytest.importorskip("casadi")
+    checks = [check for check in OPTIMAL["controllers"] if not isinstance(check, str)]
+    rows = [check.run() for check in checks if check.by.startswith("optimal costs")]
+    assert len(rows) == 2
+    assert all(row.holds for row in rows)
+
+
 def test_ratios_are_over_what_both_solve(monkeypatch: pytest.MonkeyPatch) -> None:
     class Result:
         def __init__(self, cost: float, iterations: int) -> None:

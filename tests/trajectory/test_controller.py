@@ -47,6 +47,7 @@ def test_feedback_is_the_solve_from_the_measured_state() -> None:
     for x in ({"p": 1.0, "v": 0.5}, {"p": 0.6, "v": 0.9}, {"p": -3.0, "v": 0.0}):
         u = controller.feedback(x)
         assert controller.status is Status.SOLVED
+        assert np.isnan(controller.measures["excess"])  # it takes as long as an iteration
         expected = regulator().solve(initial=x, tolerance=1e-10)
         np.testing.assert_allclose(u["u"], expected.us["u"][0], atol=1e-6)
         np.testing.assert_allclose(controller.us["u"], expected.us["u"], atol=1e-5)

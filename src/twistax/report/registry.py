@@ -19,7 +19,7 @@ from .figures import (
 from .foreign import FOREIGN
 from .harness.measurement import Section
 from .harness.report import SectionReport
-from .sections import latencies, openscvx, optimal, strategies, trust
+from .sections import latencies, openscvx, optimal, other_controllers, strategies, trust
 from .stability import (
     events,
     failures,
@@ -87,6 +87,7 @@ OPTIMAL: dict[str, Section] = {
     "openscvx": openscvx.OPENSCVX,
     "times": optimal.TIMES,
     "latencies": latencies.LATENCIES,
+    "controllers": other_controllers.OTHER_CONTROLLERS,
     "strategies": strategies.STRATEGIES,
 }
 

@@ -68,11 +68,22 @@ def amalgamation() -> str:
 _IN_PYTHON = ("options", "members", "handler", "cholesky", "squares", "squares_handler")
 
 
-def controller_core() -> str:
-    """The part of the core that solves transcribed problems, as one C99 file without external names but `twx_` ones."""
+def controller_core(**sizes: int) -> str:
+    """The part of the core that solves transcribed problems, as one C99 file without external names but `twx_` ones.
+
+    Args:
+        sizes: constants of the file, so that loops over them are unrolled: `states`, `controls` and `parameters` of an
+            interval, `inequalities` and `equalities` of all, `stages` of the method.
+    """
     inner = ("dense.h", "work.h", "phase.h")
     drop = ("core.h", *inner)
-    parts = ["#define TWX_INTERNAL static\n", _expanded(_read("core.h")), _expanded(_read("transcription.h"), drop)]
+    parts = [f"#define TWX_{name.upper()} {size}\n" for name, size in sizes.items()]
+    # Inline, so that a function which is not called is no warning.
+    parts += [
+        "#define TWX_INTERNAL static inline\n",
+        _expanded(_read("core.h")),
+        _expanded(_read("transcription.h"), drop),
+    ]
     parts += [_INCLUDE.sub("", _read(name)) for name in inner]
     kept = [name for name in _FILES if name not in _IN_PYTHON and not name.startswith("qp")]
     return "\n".join([*parts, *(_expanded(_read(f"{name}.c"), drop) for name in kept)])

@@ -10,14 +10,23 @@
 #define TWX_INTERNAL extern
 #endif
 
+/* Small functions: inlined where sizes are constants. */
+#if defined(TWX_STATES) && defined(__GNUC__)
+#define TWX_INLINE static inline __attribute__((always_inline))
+#define TWX_SMALL static inline __attribute__((always_inline))
+#else
+#define TWX_INLINE static inline
+#define TWX_SMALL TWX_INTERNAL
+#endif
+
 static inline double twx_max(double a, double b) { return a > b ? a : b; } /* b where a is not a number */
 static inline double twx_min(double a, double b) { return a < b ? a : b; }
 
 /* dense.c: C += A B, C += A' B, y += A x, y += A' x. */
-TWX_INTERNAL void twx_add_product(int32_t m, int32_t n, int32_t k, const double *A, int32_t la, const double *B, int32_t lb, double *C, int32_t lc);
-TWX_INTERNAL void twx_add_product_transposed(int32_t m, int32_t n, int32_t k, const double *A, int32_t la, const double *B, int32_t lb, double *C, int32_t lc);
-TWX_INTERNAL void twx_add_dots(int32_t m, int32_t k, double factor, const double *A, int32_t la, const double *b, double *out, int32_t stride);
-TWX_INTERNAL void twx_add_sums(int32_t m, int32_t k, double factor, const double *A, int32_t la, const double *b, double *out);
-TWX_INTERNAL void twx_add_apply(int32_t m, int32_t n, const double *A, int32_t la, const double *x, double *y);
-TWX_INTERNAL void twx_add_apply_transposed(int32_t m, int32_t n, const double *A, int32_t la, const double *x, double *y);
+TWX_SMALL void twx_add_product(int32_t m, int32_t n, int32_t k, const double *A, int32_t la, const double *B, int32_t lb, double *C, int32_t lc);
+TWX_SMALL void twx_add_product_transposed(int32_t m, int32_t n, int32_t k, const double *A, int32_t la, const double *B, int32_t lb, double *C, int32_t lc);
+TWX_SMALL void twx_add_dots(int32_t m, int32_t k, double factor, const double *A, int32_t la, const double *b, double *out, int32_t stride);
+TWX_SMALL void twx_add_sums(int32_t m, int32_t k, double factor, const double *A, int32_t la, const double *b, double *out);
+TWX_SMALL void twx_add_apply(int32_t m, int32_t n, const double *A, int32_t la, const double *x, double *y);
+TWX_SMALL void twx_add_apply_transposed(int32_t m, int32_t n, const double *A, int32_t la, const double *x, double *y);
 #endif

@@ -3,7 +3,7 @@
 
 static const double *parameter_size(const twx_work *w) { return w->size + w->variables - (size_t)w->np; }
 
-static double size_of(const twx_work *w, const twx_stage *stage, int32_t column) {
+TWX_INLINE double size_of(const twx_work *w, const twx_stage *stage, int32_t column) {
   return column < stage->nv ? w->size[stage->v + (size_t)column] : parameter_size(w)[column - stage->nv];
 }
 
@@ -29,7 +29,7 @@ int32_t twx_evaluate(twx_work *w, twx_values *at) {
 
 /* Rows of a block (rows, n) of a stage by `scale`, columns by the units of the variables; a sum that tells NaN, of columns
  * apart so that one does not wait for another. */
-static double scale_block(const twx_work *w, const twx_stage *stage, int32_t rows, double *block, const double *restrict scale) {
+TWX_INLINE double scale_block(const twx_work *w, const twx_stage *stage, int32_t rows, double *block, const double *restrict scale) {
   double sum = 0;
   for (int32_t j = 0; j < stage->n; j++) {
     const double size = size_of(w, stage, j);
@@ -57,16 +57,16 @@ static void clear_jacobians(twx_work *w) {
   memset(w->Je, 0, sizeof(double) * (end->Je + (size_t)end->ne * (size_t)end->n));
 }
 
+TWX_INLINE double scale_stage(twx_work *w, int32_t k, const twx_stage *s, double *inverse) {
+  for (int32_t i = 0; i < s->next; i++) inverse[i] = 1 / size_of_next(w, k)[i];
+  return scale_block(w, s, s->next, w->F + s->F, inverse) + scale_block(w, s, s->nh, w->Jh + s->Jh, w->row_scale + s->h) +
+         scale_block(w, s, s->ne, w->Je + s->Je, w->equality_scale + s->e);
+}
+
 static int32_t scale_jacobians(twx_work *w) {
   double sum = 0;
   for (size_t i = 0; i < w->variables; i++) sum += w->gradient[i] *= w->cost_scale * w->size[i];
-  FOR_STAGES(w, k, s) {
-    double *inverse = w->t0;
-    for (int32_t i = 0; i < s->next; i++) inverse[i] = 1 / size_of_next(w, k)[i];
-    sum += scale_block(w, s, s->next, w->F + s->F, inverse);
-    sum += scale_block(w, s, s->nh, w->Jh + s->Jh, w->row_scale + s->h);
-    sum += scale_block(w, s, s->ne, w->Je + s->Je, w->equality_scale + s->e);
-  }
+  for (int32_t k = 0; k <= w->N; k++) sum += TWX_AT(w, k, scale_stage, w->t0);
   return !isfinite(sum);
 }
 
@@ -100,13 +100,15 @@ static void clear_hessians(twx_work *w) {
   memset(w->H, 0, sizeof(double) * (end->H + (size_t)end->n * (size_t)end->n));
 }
 
+TWX_INLINE double scale_stage_hessian(twx_work *w, int32_t k, const twx_stage *s, double *size) {
+  (void)k;
+  for (int32_t i = 0; i < s->n; i++) size[i] = size_of(w, s, i);
+  return scale_block(w, s, s->n, w->H + s->H, size);
+}
+
 static int32_t scale_hessians(twx_work *w) {
   double sum = 0;
-  FOR_STAGES(w, k, s) {
-    double *size = w->t0;
-    for (int32_t i = 0; i < s->n; i++) size[i] = size_of(w, s, i);
-    sum += scale_block(w, s, s->n, w->H + s->H, size);
-  }
+  for (int32_t k = 0; k <= w->N; k++) sum += TWX_AT(w, k, scale_stage_hessian, w->t0);
   return !isfinite(sum);
 }
 

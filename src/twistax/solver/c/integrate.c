@@ -1,50 +1,49 @@
 /* Intervals of a phase: their integration, its sensitivities and its adjoints. Row k of an array is interval k. */
 #include "phase.h"
 
-/* q = (eta, u, p) of all intervals, and the shares where they stand. */
-static void join(const twx_memory *t, size_t place, const double *eta, const double *z, double within) {
+/* u and p in q = (eta, u, p) of all intervals, and the shares where they stand. */
+static void join(const twx_memory *t, size_t place, const double *z, double within) {
   const twx_phase *f = t->phase;
   const size_t stride = (size_t)(f->point + f->m);
   const double *p = z + f->parameters_z;
   for (size_t k = 0; k < t->K; k++) {
-    double *q = t->q + (place * t->K + k) * t->size;
-    if (eta) memcpy(q, eta + k * t->n, sizeof(double) * t->n);
-    memcpy(q + t->n, z + f->at.z[t->first] + k * stride + (size_t)f->point, sizeof(double) * (size_t)f->m);
-    memcpy(q + t->n + f->m, p, sizeof(double) * (size_t)f->p);
+    double *q = t->q + (place * t->K + k) * SIZE_OF(t);
+    memcpy(q + N_OF(t), z + f->at.z[t->first] + k * stride + (size_t)f->point, sizeof(double) * M_OF(f));
+    memcpy(q + N_OF(t) + M_OF(f), p, sizeof(double) * P_OF(f));
     t->shares[place * t->K + k] = t->starts[k] + t->widths[k] * within;
   }
 }
 
 static size_t stage_place(const twx_memory *t, size_t stage) { return (size_t)t->phase->substeps + 1 + stage; }
 
-static double *q_of(const twx_memory *t, size_t place) { return t->q + place * t->K * t->size; }
+static double *q_of(const twx_memory *t, size_t place) { return t->q + place * t->K * SIZE_OF(t); }
 
 twx_inputs twx_inputs_at(const twx_memory *t, const double *z, size_t place) {
-  return (twx_inputs){.z = q_of(t, place), .width = t->size, .share = t->shares + place * t->K,
+  return (twx_inputs){.z = q_of(t, place), .width = SIZE_OF(t), .share = t->shares + place * t->K,
                       .base = z + t->phase->at.z[t->first], .stage = t->first};
 }
 
 static void rates(const twx_memory *t, const double *z, size_t stage, double *slopes) {
-  twx_call(&t->phase->rate.value, t, twx_inputs_at(t, z, stage_place(t, stage)), t->K, slopes, t->n);
+  twx_call(&t->phase->rate.value, t, twx_inputs_at(t, z, stage_place(t, stage)), t->K, slopes, N_OF(t));
 }
 
 static void rate_slopes(const twx_memory *t, const double *z, size_t stage) {
-  double *J = t->J + stage * t->K * t->n * t->size;
-  twx_call(&t->phase->rate.slopes, t, twx_inputs_at(t, z, stage_place(t, stage)), t->K, J, t->n * t->size);
+  double *J = t->J + stage * t->K * N_OF(t) * SIZE_OF(t);
+  twx_call(&t->phase->rate.slopes, t, twx_inputs_at(t, z, stage_place(t, stage)), t->K, J, N_OF(t) * SIZE_OF(t));
 }
 
 /* eta at a place: that of the substep's start plus steps along the slopes of its stages, by these weights. */
 static void advance(const twx_memory *t, size_t substep, const double *weights, size_t count, size_t place) {
-  const size_t s = (size_t)t->phase->stages;
+  const size_t s = STAGES_OF(t->phase);
   for (size_t k = 0; k < t->K; k++) {
     const double length = t->widths[k] / t->phase->substeps;
-    const double *from = q_of(t, substep) + k * t->size;
-    double *to = q_of(t, place) + k * t->size;
-    for (size_t i = 0; i < t->n; i++) {
-      double sum = 0;
-      for (size_t l = 0; l < count; l++)
-        if (weights[l] != 0) sum += weights[l] * t->slopes[((substep * s + l) * t->K + k) * t->n + i];
-      to[i] = from[i] + length * sum;
+    const double *restrict from = q_of(t, substep) + k * SIZE_OF(t);
+    double *restrict to = q_of(t, place) + k * SIZE_OF(t);
+    for (size_t i = 0; i < N_OF(t); i++) to[i] = from[i];
+    for (size_t l = 0; l < count; l++) {
+      const double *restrict slope = t->slopes + ((substep * s + l) * t->K + k) * N_OF(t), factor = length * weights[l];
+      if (factor == 0) continue;
+      for (size_t i = 0; i < N_OF(t); i++) to[i] += factor * slope[i];
     }
   }
 }
@@ -52,7 +51,7 @@ static void advance(const twx_memory *t, size_t substep, const double *weights, 
 /* The matrix of v_i - J_i sum_j a_ij v_j of a substep, factorised. */
 static int32_t factorize_stages(const twx_memory *t, size_t substep, size_t k) {
   const twx_phase *f = t->phase;
-  const size_t s = (size_t)f->stages, n = t->n, sn = s * n;
+  const size_t s = STAGES_OF(f), n = N_OF(t), sn = s * n;
   const double length = t->widths[k] / f->substeps;
   double *M = t->matrix + k * sn * sn;
   for (size_t i = 0; i < s; i++)
@@ -60,14 +59,14 @@ static int32_t factorize_stages(const twx_memory *t, size_t substep, size_t k) {
       for (size_t j = 0; j < s; j++)
         for (size_t q = 0; q < n; q++)
           M[(i * n + r) * sn + j * n + q] = (i == j && r == q) - length * f->a[i * s + j] *
-                                            t->J[(((substep * s + i) * t->K + k) * n + r) * t->size + q];
-  return twx_lu(sn, M, t->right + (sn + s) * t->size);
+                                            t->J[(((substep * s + i) * t->K + k) * n + r) * SIZE_OF(t) + q];
+  return twx_lu(sn, M, t->right + (sn + s) * SIZE_OF(t));
 }
 
 /* One step of Newton's method for the slopes of a substep of all intervals: its largest relative size, -1: none. */
 static double improve(const twx_memory *t, const double *z, size_t substep) {
   const twx_phase *f = t->phase;
-  const size_t s = (size_t)f->stages, n = t->n, sn = s * n;
+  const size_t s = STAGES_OF(f), n = N_OF(t), sn = s * n;
   double worst = 0, *r = t->right, *value = t->adjoints;
   for (size_t i = 0; i < s; i++) {
     const size_t stage = substep * s + i;
@@ -81,7 +80,7 @@ static double improve(const twx_memory *t, const double *z, size_t substep) {
       for (size_t d = 0; d < n; d++)
         r[i * n + d] = t->slopes[((substep * s + i) * t->K + k) * n + d] - value[(i * t->K + k) * n + d];
     if (!factorize_stages(t, substep, k)) return -1;
-    twx_lu_solve(sn, t->matrix + k * sn * sn, r + (sn + s) * t->size, 1, r);
+    twx_lu_solve(sn, t->matrix + k * sn * sn, r + (sn + s) * SIZE_OF(t), 1, r);
     for (size_t i = 0; i < s; i++)
       for (size_t d = 0; d < n; d++) {
         double *slope = t->slopes + ((substep * s + i) * t->K + k) * n + d;
@@ -98,20 +97,20 @@ static double improve(const twx_memory *t, const double *z, size_t substep) {
 static void first_slopes(const twx_memory *t, const double *z, size_t substep, double *slopes) {
   const twx_phase *f = t->phase;
   int32_t singular = 0;
-  rates(t, z, substep * (size_t)f->stages, slopes);
-  for (size_t i = 0; i < t->K * t->n; i++) singular |= !isfinite(slopes[i]);
+  rates(t, z, substep * STAGES_OF(f), slopes);
+  for (size_t i = 0; i < t->K * N_OF(t); i++) singular |= !isfinite(slopes[i]);
   if (!singular) return;
-  twx_call(&f->gap.value, t, twx_inputs_at(t, z, 0), t->K, t->defects, t->n);
+  twx_call(&f->gap.value, t, twx_inputs_at(t, z, 0), t->K, t->defects, N_OF(t));
   for (size_t k = 0; k < t->K; k++) {
     singular = 0;
-    for (size_t i = 0; i < t->n; i++) singular |= !isfinite(slopes[k * t->n + i]);
-    for (size_t i = 0; i < t->n && singular; i++) slopes[k * t->n + i] = -t->defects[k * t->n + i] / t->widths[k];
+    for (size_t i = 0; i < N_OF(t); i++) singular |= !isfinite(slopes[k * N_OF(t) + i]);
+    for (size_t i = 0; i < N_OF(t) && singular; i++) slopes[k * N_OF(t) + i] = -t->defects[k * N_OF(t) + i] / t->widths[k];
   }
 }
 
 static int32_t solve_stages(const twx_memory *t, const double *z, size_t substep) {
   const twx_phase *f = t->phase;
-  const size_t s = (size_t)f->stages, block = t->K * t->n;
+  const size_t s = STAGES_OF(f), block = t->K * N_OF(t);
   double *first = t->slopes + substep * s * block;
   advance(t, substep, NULL, 0, stage_place(t, substep * s));
   first_slopes(t, z, substep, first);
@@ -136,19 +135,19 @@ static int32_t differ(const double *a, const double *b, size_t count) {
 
 static int32_t integrate_window(twx_memory *t, const double *z) {
   const twx_phase *f = t->phase;
-  const size_t S = (size_t)f->substeps, s = (size_t)f->stages;
-  memset(q_of(t, 0), 0, sizeof(double) * t->K * t->size);
+  const size_t S = (size_t)f->substeps, s = STAGES_OF(f);
+  memset(q_of(t, 0), 0, sizeof(double) * t->K * SIZE_OF(t));
   for (size_t k = 0; f->steps && k < t->K; k++)
-    memcpy(q_of(t, 0) + k * t->size, f->steps + (t->first + k) * t->n, sizeof(double) * t->n);
-  join(t, 0, NULL, z, 0);
+    memcpy(q_of(t, 0) + k * SIZE_OF(t), f->steps + (t->first + k) * N_OF(t), sizeof(double) * N_OF(t));
+  join(t, 0, z, 0);
   for (size_t j = 0; j < S; j++) {
-    for (size_t i = 0; i < s; i++) join(t, stage_place(t, j * s + i), NULL, z, ((double)j + f->c[i]) / (double)S);
+    for (size_t i = 0; i < s; i++) join(t, stage_place(t, j * s + i), z, ((double)j + f->c[i]) / (double)S);
     if (f->implicit && solve_stages(t, z, j)) return 1;
     for (size_t i = 0; !f->implicit && i < s; i++) {
       advance(t, j, f->a + i * s, i, stage_place(t, j * s + i));
-      rates(t, z, j * s + i, t->slopes + (j * s + i) * t->K * t->n);
+      rates(t, z, j * s + i, t->slopes + (j * s + i) * t->K * N_OF(t));
     }
-    join(t, j + 1, NULL, z, (double)(j + 1) / (double)S);
+    join(t, j + 1, z, (double)(j + 1) / (double)S);
     advance(t, j, f->b, s, j + 1);
   }
   return 0;
@@ -159,7 +158,7 @@ int32_t twx_integrate(twx_memory *t, const double *z) {
   const twx_phase *f = t->phase;
   const size_t inner = t->K * (size_t)(f->point + f->m) + (size_t)f->point;
   const double *own = z + f->at.z[0], *p = z + f->parameters_z;
-  if (f->window > 0) return integrate_window(t, z);
+  if (!twx_is_kept(f)) return integrate_window(t, z);
   if (*t->state > 0 && !differ(t->at, own, inner) && !differ(t->at + inner, p, (size_t)f->p)) return 0;
   *t->state = 0;
   if (integrate_window(t, z)) return 1;
@@ -176,7 +175,7 @@ void twx_phase_states(const twx_phase *f, int32_t substep, double *eta) {
 }
 
 static double *along_of(const twx_memory *t, size_t stage, size_t block) {
-  return t->along + (stage * t->blocks + block) * t->n * t->size * TWX_LANES;
+  return t->along + (stage * t->blocks + block) * N_OF(t) * SIZE_OF(t) * TWX_LANES;
 }
 
 int32_t twx_is_start(const twx_memory *t, size_t place) {
@@ -186,13 +185,13 @@ int32_t twx_is_start(const twx_memory *t, size_t place) {
 /* Starts have no memory of their own. */
 double *twx_maps_at(const twx_memory *t, size_t place, size_t block) {
   const size_t before = place > stage_place(t, 0) && !t->phase->implicit ? place - 2 : place - 1;
-  return t->maps + (before * t->blocks + block) * t->n * t->size * TWX_LANES;
+  return t->maps + (before * t->blocks + block) * N_OF(t) * SIZE_OF(t) * TWX_LANES;
 }
 
 static void one_of(const twx_memory *t, size_t stride, double *map) { /* that of a start */
-  memset(map, 0, sizeof(double) * t->n * t->size * stride);
-  for (size_t i = 0; i < t->n; i++)
-    for (size_t l = 0; l < stride; l++) map[i * (t->size + 1) * stride + l] = 1;
+  memset(map, 0, sizeof(double) * N_OF(t) * SIZE_OF(t) * stride);
+  for (size_t i = 0; i < N_OF(t); i++)
+    for (size_t l = 0; l < stride; l++) map[i * (SIZE_OF(t) + 1) * stride + l] = 1;
 }
 
 /* The sensitivity of one interval. */
@@ -202,19 +201,19 @@ void twx_map_of(const twx_memory *t, size_t place, size_t k, double *map) {
     return;
   }
   const double *const lanes = twx_maps_at(t, place, k / TWX_LANES) + k % TWX_LANES;
-  for (size_t i = 0; i < t->n * t->size; i++) map[i] = lanes[i * TWX_LANES];
+  for (size_t i = 0; i < N_OF(t) * SIZE_OF(t); i++) map[i] = lanes[i * TWX_LANES];
 }
 
 /* Sensitivities at a place begin as those of the substep's start. */
 static void start_maps(const twx_memory *t, size_t substep, size_t block, size_t place) {
   double *const to = twx_maps_at(t, place, block);
   if (twx_is_start(t, substep)) one_of(t, TWX_LANES, to);
-  else memcpy(to, twx_maps_at(t, substep, block), sizeof(double) * t->n * t->size * TWX_LANES);
+  else memcpy(to, twx_maps_at(t, substep, block), sizeof(double) * N_OF(t) * SIZE_OF(t) * TWX_LANES);
 }
 
 /* Sensitivities at a place += those of a stage's slope, by this weight. */
 static void advance_maps(const twx_memory *t, size_t block, double weight, const double *restrict from, size_t place) {
-  const size_t entries = t->n * t->size;
+  const size_t entries = N_OF(t) * SIZE_OF(t);
   double *restrict to = twx_maps_at(t, place, block), factor[TWX_LANES] = {0};
   if (weight == 0) return;
   for (size_t l = 0; l < twx_lanes_of(t, block); l++)
@@ -225,12 +224,12 @@ static void advance_maps(const twx_memory *t, size_t block, double weight, const
 
 /* Sensitivities of the slopes of a substep, of one interval. */
 static int32_t implicit_along(const twx_memory *t, size_t j, size_t k) {
-  const size_t s = (size_t)t->phase->stages, entries = t->n * t->size, sn = s * t->n;
+  const size_t s = STAGES_OF(t->phase), entries = N_OF(t) * SIZE_OF(t), sn = s * N_OF(t);
   twx_map_of(t, j, k, t->map);
   for (size_t i = 0; i < s; i++)
-    twx_along(t->n, t->n, t->size, t->J + ((j * s + i) * t->K + k) * entries, t->map, t->right + i * entries);
+    twx_along(N_OF(t), N_OF(t), SIZE_OF(t), t->J + ((j * s + i) * t->K + k) * entries, t->map, t->right + i * entries);
   if (!factorize_stages(t, j, k)) return 1;
-  twx_lu_solve(sn, t->matrix + k * sn * sn, t->right + (sn + s) * t->size, t->size, t->right);
+  twx_lu_solve(sn, t->matrix + k * sn * sn, t->right + (sn + s) * SIZE_OF(t), SIZE_OF(t), t->right);
   for (size_t i = 0; i < s; i++) {
     double *const lanes = along_of(t, i, k / TWX_LANES) + k % TWX_LANES;
     for (size_t e = 0; e < entries; e++) lanes[e * TWX_LANES] = t->right[i * entries + e];
@@ -240,8 +239,8 @@ static int32_t implicit_along(const twx_memory *t, size_t j, size_t k) {
 
 static int32_t implicit_maps(const twx_memory *t, size_t j, size_t block) {
   const twx_phase *f = t->phase;
-  const size_t s = (size_t)f->stages, first = block * TWX_LANES;
-  for (size_t i = 0; i < s; i++) memset(along_of(t, i, block), 0, sizeof(double) * t->n * t->size * TWX_LANES);
+  const size_t s = STAGES_OF(f), first = block * TWX_LANES;
+  for (size_t i = 0; i < s; i++) memset(along_of(t, i, block), 0, sizeof(double) * N_OF(t) * SIZE_OF(t) * TWX_LANES);
   for (size_t l = 0; l < twx_lanes_of(t, block); l++)
     if (implicit_along(t, j, first + l)) return 1;
   for (size_t i = 0; i <= s; i++) {
@@ -256,7 +255,7 @@ static int32_t implicit_maps(const twx_memory *t, size_t j, size_t block) {
 /* The sensitivity of each stage's slope adds to those of the stages after it and of the end. */
 static void explicit_maps(const twx_memory *t, size_t j, size_t block) {
   const twx_phase *f = t->phase;
-  const size_t s = (size_t)f->stages, entries = t->n * t->size;
+  const size_t s = STAGES_OF(f), entries = N_OF(t) * SIZE_OF(t);
   double *const along = t->lane_moved;
   for (size_t i = 0; i < s; i++)
     if (!twx_is_start(t, stage_place(t, j * s + i))) start_maps(t, j, block, stage_place(t, j * s + i));
@@ -265,7 +264,7 @@ static void explicit_maps(const twx_memory *t, size_t j, size_t block) {
     const size_t place = stage_place(t, j * s + i);
     const double *const J = t->J + (j * s + i) * t->K * entries;
     twx_pack(t, block, entries, entries, J, twx_is_start(t, place) ? along : t->lane_rows);
-    if (!twx_is_start(t, place)) twx_lanes_along(t, t->n, t->lane_rows, t->size, twx_maps_at(t, place, block), along);
+    if (!twx_is_start(t, place)) twx_lanes_along(t, N_OF(t), t->lane_rows, SIZE_OF(t), twx_maps_at(t, place, block), along);
     for (size_t l = i + 1; l < s; l++) advance_maps(t, block, f->a[l * s + i], along, stage_place(t, j * s + l));
     advance_maps(t, block, f->b[i], along, j + 1);
   }
@@ -282,25 +281,28 @@ int32_t twx_sensitivities(twx_memory *t, const double *z) {
       if (!f->implicit) explicit_maps(t, j, block);
       else if (implicit_maps(t, j, block)) return 1;
     }
-  *t->state = f->window == 0 ? 2 : 0;
+  *t->state = f->window == 0 ? 2 : twx_is_kept(f);
   return 0;
 }
 
 /* Adjoints of the slopes of a substep from that of its end, which becomes that of its start. */
 static void explicit_adjoints(twx_memory *t, size_t j, size_t k, double *adjoint) {
   const twx_phase *f = t->phase;
-  const size_t s = (size_t)f->stages, n = t->n;
+  const size_t s = STAGES_OF(f), n = N_OF(t);
   const double length = t->widths[k] / f->substeps;
   for (size_t i = s; i-- > 0;) {
     double *restrict own = t->adjoints + (i * t->K + k) * n, *restrict back = t->through + (i * t->K + k) * n;
-    const double *restrict J = t->J + ((j * s + i) * t->K + k) * n * t->size;
-    for (size_t d = 0; d < n; d++) {
-      double sum = f->b[i] * adjoint[d];
-      for (size_t l = i + 1; l < s; l++) sum += f->a[l * s + i] * t->through[(l * t->K + k) * n + d];
-      own[d] = length * sum, back[d] = 0;
+    const double *restrict J = t->J + ((j * s + i) * t->K + k) * n * SIZE_OF(t);
+    for (size_t d = 0; d < n; d++) own[d] = length * f->b[i] * adjoint[d], back[d] = 0;
+    for (size_t l = i + 1; l < s; l++) {
+      const double *restrict through = t->through + (l * t->K + k) * n, factor = length * f->a[l * s + i];
+      if (factor == 0) continue;
+      for (size_t d = 0; d < n; d++) own[d] += factor * through[d];
     }
-    for (size_t r = 0; r < n; r++)
-      for (size_t d = 0; d < n && own[r] != 0; d++) back[d] += own[r] * J[r * t->size + d];
+    for (size_t r = 0; r < n; r++) {
+      if (own[r] == 0) continue;
+      for (size_t d = 0; d < n; d++) back[d] += own[r] * J[r * SIZE_OF(t) + d];
+    }
   }
   for (size_t i = 0; i < s; i++)
     for (size_t d = 0; d < n; d++) adjoint[d] += t->through[(i * t->K + k) * n + d];
@@ -308,7 +310,7 @@ static void explicit_adjoints(twx_memory *t, size_t j, size_t k, double *adjoint
 
 static void implicit_adjoints(twx_memory *t, size_t j, size_t k, double *adjoint) {
   const twx_phase *f = t->phase;
-  const size_t s = (size_t)f->stages, n = t->n, sn = s * n;
+  const size_t s = STAGES_OF(f), n = N_OF(t), sn = s * n;
   const double length = t->widths[k] / f->substeps, *pulls = t->pulls + ((size_t)f->substeps + 1 + j * s) * t->K * n;
   double *r = t->right;
   factorize_stages(t, j, k);
@@ -318,18 +320,18 @@ static void implicit_adjoints(twx_memory *t, size_t j, size_t k, double *adjoint
       for (size_t l = 0; l < s; l++) sum += f->a[l * s + i] * pulls[(l * t->K + k) * n + d];
       r[i * n + d] = length * sum;
     }
-  twx_lu_solve_transposed(sn, t->matrix + k * sn * sn, r + (sn + s) * t->size, r);
+  twx_lu_solve_transposed(sn, t->matrix + k * sn * sn, r + (sn + s) * SIZE_OF(t), r);
   for (size_t i = 0; i < s; i++) {
-    const double *J = t->J + ((j * s + i) * t->K + k) * n * t->size;
+    const double *J = t->J + ((j * s + i) * t->K + k) * n * SIZE_OF(t);
     memcpy(t->adjoints + (i * t->K + k) * n, r + i * n, sizeof(double) * n);
     for (size_t d = 0; d < n; d++) {
       adjoint[d] += pulls[(i * t->K + k) * n + d];
-      for (size_t q = 0; q < n; q++) adjoint[d] += r[i * n + q] * J[q * t->size + d];
+      for (size_t q = 0; q < n; q++) adjoint[d] += r[i * n + q] * J[q * SIZE_OF(t) + d];
     }
   }
 }
 
 void twx_adjoint_stages(twx_memory *t, size_t substep, double *adjoint) {
   for (size_t k = 0; k < t->K; k++)
-    (t->phase->implicit ? implicit_adjoints : explicit_adjoints)(t, substep, k, adjoint + k * t->n);
+    (t->phase->implicit ? implicit_adjoints : explicit_adjoints)(t, substep, k, adjoint + k * N_OF(t));
 }

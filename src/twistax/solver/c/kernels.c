@@ -11,6 +11,9 @@ size_t twx_window_of(const twx_phase *f) {
   return f->window > 0 && f->window < f->intervals ? (size_t)f->window : (size_t)f->intervals;
 }
 
+/* Whether what is integrated stays: all intervals are in memory. */
+int32_t twx_is_kept(const twx_phase *f) { return twx_window_of(f) == (size_t)f->intervals; }
+
 /* Rows of the largest function of a phase. */
 static size_t most_rows(const twx_phase *f) {
   size_t rows = (size_t)f->path_rows + 1;
@@ -27,7 +30,7 @@ twx_phase_sizes twx_lay_out(twx_memory *t, const twx_phase *f, double *work, dou
   *t = (twx_memory){.phase = f, .n = n, .size = size, .stages = all};
   t->points = S + 1 + (f->implicit ? all : 0);
   t->state = next_of(work, &used.work, 1);
-  t->at = next_of(work, &used.work, f->window > 0 ? 0 : (K + 1) * (size_t)f->point + K * (size_t)f->m + (size_t)f->p);
+  t->at = next_of(work, &used.work, !twx_is_kept(f) ? 0 : (K + 1) * (size_t)f->point + K * (size_t)f->m + (size_t)f->p);
   t->q = next_of(work, &used.work, (S + 1 + all) * K * size), t->shares = next_of(work, &used.work, (S + 1 + all) * K);
   t->slopes = next_of(work, &used.work, all * K * n), t->rows = next_of(work, &used.work, K * rows);
   t->defects = next_of(work, &used.work, K * n), t->q_node = next_of(work, &used.work, n + (size_t)f->p);

@@ -34,50 +34,69 @@ double twx_barrier(const twx_work *w, const twx_values *at) {
   return at->cost + twx_barrier_of_bounds(w, at, w->barrier);
 }
 
+/* What the rows of a stage add to the gradient of the Lagrangian. */
+TWX_INLINE void stage_pulls(twx_work *w, int32_t k, const twx_stage *s, double *g) {
+  const twx_iterate *q = &w->iterate;
+  double *const of_parameters = g + w->variables - (size_t)NP_OF(w), *const of_next = g + w->stages[k < w->N ? k + 1 : k].v;
+  const struct { int32_t rows; const double *J, *multipliers; } blocks[] = {
+      {s->next, w->F + s->F, q->lambda + s->c}, {s->nh, w->Jh + s->Jh, q->y + s->h}, {s->ne, w->Je + s->Je, q->ye + s->e}};
+  for (size_t b = 0; b < 3; b++) {
+    const int32_t rows = blocks[b].rows;
+    twx_add_apply_transposed(rows, s->nv, blocks[b].J, rows, blocks[b].multipliers, g + s->v);
+    twx_add_apply_transposed(rows, NP_OF(w), blocks[b].J + (size_t)rows * (size_t)s->nv, rows, blocks[b].multipliers, of_parameters);
+  }
+  for (int32_t i = 0; i < s->next; i++) of_next[i] -= q->lambda[s->c + (size_t)i];
+}
+
 /* The gradient of the Lagrangian by v, in t3. */
 static double *lagrangian_gradient(twx_work *w) {
   const twx_iterate *q = &w->iterate;
-  double *const g = w->t3, *const of_parameters = g + w->variables - (size_t)w->np;
+  double *const g = w->t3;
   for (size_t i = 0; i < w->variables; i++) g[i] = w->gradient[i] - q->zl[i] + q->zu[i];
-  FOR_STAGES(w, k, s) {
-    const struct { int32_t rows; const double *J, *multipliers; } blocks[] = {
-        {s->next, w->F + s->F, q->lambda + s->c}, {s->nh, w->Jh + s->Jh, q->y + s->h}, {s->ne, w->Je + s->Je, q->ye + s->e}};
-    for (size_t b = 0; b < 3; b++) {
-      const int32_t rows = blocks[b].rows;
-      twx_add_apply_transposed(rows, s->nv, blocks[b].J, rows, blocks[b].multipliers, g + s->v);
-      twx_add_apply_transposed(rows, w->np, blocks[b].J + (size_t)rows * (size_t)s->nv, rows, blocks[b].multipliers, of_parameters);
-    }
-    for (int32_t i = 0; i < s->next; i++) g[s[1].v + (size_t)i] -= q->lambda[s->c + (size_t)i];
-  }
+  for (int32_t k = 0; k <= w->N; k++) TWX_AT(w, k, stage_pulls, g);
   return g;
 }
 
-/* The scaled error for a barrier parameter, and its parts. Source: [WB] (5), (6). */
-twx_measures twx_measure(twx_work *w, double barrier) {
+static double complementarity(const twx_work *w, double barrier) {
+  const twx_iterate *q = &w->iterate;
+  double most = 0;
+  FOR_FREE(w, i) {
+    if (twx_has(w->lower[i])) most = twx_max(most, fabs(twx_below(w, q->v, i) * q->zl[i] - barrier));
+    if (twx_has(w->upper[i])) most = twx_max(most, fabs(twx_above(w, q->v, i) * q->zu[i] - barrier));
+  }
+  for (size_t i = 0; i < w->rows; i++) most = twx_max(most, fabs(q->s[i] * q->zs[i] - barrier));
+  return most;
+}
+
+/* The measures of the same iterate for another barrier parameter. */
+twx_measures twx_measure_again(const twx_work *w, const twx_measures *of_iterate, double barrier) {
+  twx_measures m = *of_iterate;
+  m.complementarity = complementarity(w, barrier);
+  m.error = twx_max(m.stationarity / m.dual_scale, twx_max(m.violation, m.complementarity / m.bound_scale));
+  return m;
+}
+
+/* The scaled error for a barrier parameter of zero, and its parts. Source: [WB] (5), (6). */
+twx_measures twx_measure(twx_work *w) {
   const twx_iterate *q = &w->iterate;
   const double *const g = lagrangian_gradient(w), least = w->options->multiplier_scale;
   twx_measures m = {0};
+  double sum = 0; /* the largest of numbers forgets those that are NaN */
   double multipliers = 0, of_bounds = 0, bounds = 0, count = (double)(w->defects + w->rows) + w->ne;
   FOR_FREE(w, i) {
-    m.stationarity = twx_max(m.stationarity, fabs(g[i]));
-    if (twx_has(w->lower[i]))
-      m.complementarity = twx_max(m.complementarity, fabs(twx_below(w, q->v, i) * q->zl[i] - barrier)), of_bounds += q->zl[i], bounds++;
-    if (twx_has(w->upper[i]))
-      m.complementarity = twx_max(m.complementarity, fabs(twx_above(w, q->v, i) * q->zu[i] - barrier)), of_bounds += q->zu[i], bounds++;
+    m.stationarity = twx_max(m.stationarity, fabs(g[i])), sum += g[i];
+    if (twx_has(w->lower[i])) of_bounds += q->zl[i], bounds++;
+    if (twx_has(w->upper[i])) of_bounds += q->zu[i], bounds++;
   }
   for (size_t i = 0; i < w->rows; i++) {
     m.stationarity = twx_max(m.stationarity, fabs(q->y[i] - q->zs[i]));
-    m.complementarity = twx_max(m.complementarity, fabs(q->s[i] * q->zs[i] - barrier));
     multipliers += fabs(q->y[i]), of_bounds += q->zs[i], bounds++;
   }
   for (size_t i = 0; i < w->defects; i++) multipliers += fabs(q->lambda[i]);
   for (size_t i = 0; i < (size_t)w->ne; i++) multipliers += fabs(q->ye[i]);
-  const double dual_scale = twx_max(least, (multipliers + of_bounds) / twx_max(1, count + bounds)) / least;
-  const double bound_scale = twx_max(least, of_bounds / twx_max(1, bounds)) / least;
+  m.dual_scale = twx_max(least, (multipliers + of_bounds) / twx_max(1, count + bounds)) / least;
+  m.bound_scale = twx_max(least, of_bounds / twx_max(1, bounds)) / least;
   m.violation = twx_violation(w, &w->here, 1);
-  m.error = twx_max(m.stationarity / dual_scale, twx_max(m.violation, m.complementarity / bound_scale));
-  double sum = multipliers + of_bounds; /* the largest of numbers forgets those that are NaN */
-  FOR_FREE(w, i) sum += g[i];
-  if (!isfinite(sum)) m.error = m.stationarity = INFINITY;
-  return m;
+  if (!isfinite(sum + multipliers + of_bounds)) m.stationarity = INFINITY, m.dual_scale = m.bound_scale = 1;
+  return twx_measure_again(w, &m, 0);
 }

@@ -40,7 +40,22 @@ typedef struct {
 } twx_phase_sizes;
 TWX_INTERNAL twx_phase_sizes twx_lay_out(twx_memory *memory, const twx_phase *phase, double *work, double *scratch);
 TWX_INTERNAL size_t twx_window_of(const twx_phase *phase); /* intervals that are evaluated together */
+TWX_INTERNAL int32_t twx_is_kept(const twx_phase *phase);
 TWX_INTERNAL void twx_open_window(twx_memory *memory, size_t first);
+/* Sizes of a phase, constants where a program solves one problem alone. */
+#ifdef TWX_STATES
+#define N_OF(t) ((void)(t), (size_t)TWX_STATES)
+#define SIZE_OF(t) ((void)(t), (size_t)TWX_STATES + TWX_CONTROLS + TWX_PARAMETERS)
+#define M_OF(f) ((void)(f), (size_t)TWX_CONTROLS)
+#define P_OF(f) ((void)(f), (size_t)TWX_PARAMETERS)
+#define STAGES_OF(f) ((void)(f), (size_t)TWX_STAGES)
+#else
+#define N_OF(t) ((t)->n)
+#define SIZE_OF(t) ((t)->size)
+#define M_OF(f) ((size_t)(f)->m)
+#define P_OF(f) ((size_t)(f)->p)
+#define STAGES_OF(f) ((size_t)(f)->stages)
+#endif
 #define FOR_WINDOWS(t) \
   for (size_t begin = 0; begin < (size_t)(t).phase->intervals && (twx_open_window(&(t), begin), 1); begin += twx_window_of((t).phase))
 typedef struct { /* what a kernel reads: rows of `width` and `weight_width` numbers; target NULL: the node after base */

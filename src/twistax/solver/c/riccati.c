@@ -20,7 +20,7 @@ static double row_weight(const twx_work *w, size_t row) { /* 1 / (1/Sigma + soft
 }
 
 /* M += J' diag(weights) J of a block of rows (rows, n); the upper triangle. */
-static void add_squares(int32_t rows, int32_t n, const double *J, const double *weights, double *scratch, double *M) {
+TWX_INLINE void add_squares(int32_t rows, int32_t n, const double *J, const double *weights, double *scratch, double *M) {
   for (int32_t j = 0; j < n; j++) {
     const double *column = J + (size_t)j * (size_t)rows;
     for (int32_t r = 0; r < rows; r++) scratch[r] = weights[r] * column[r];
@@ -29,7 +29,7 @@ static void add_squares(int32_t rows, int32_t n, const double *J, const double *
 }
 
 /* The cost of a stage alone in (x, u, p), in t0 (n, n), its upper triangle. */
-static void stage_cost(twx_work *w, const twx_stage *s, int32_t with_hessian) {
+TWX_INLINE void stage_cost(twx_work *w, const twx_stage *s, int32_t with_hessian) {
   const int32_t n = s->n;
   double *const M = w->t0, *const weights = w->t3, *const scratch = weights + s->nh + s->ne;
   if (with_hessian) memcpy(M, w->H + s->H, sizeof(double) * (size_t)n * (size_t)n);
@@ -45,22 +45,22 @@ typedef struct { /* rows first <= i < last of a column; all others are zero */
   int32_t first, last;
 } column_range;
 
-static void mirror(int32_t n, double *M) { /* the lower triangle from the upper */
+TWX_INLINE void mirror(int32_t n, double *M) { /* the lower triangle from the upper */
   for (int32_t j = 0; j < n; j++)
     for (int32_t i = 0; i < j; i++) M[j + (size_t)i * (size_t)n] = M[i + (size_t)j * (size_t)n];
 }
 
-static void mirror_up(int32_t n, double *M) { /* the upper triangle from the lower */
+TWX_INLINE void mirror_up(int32_t n, double *M) { /* the upper triangle from the lower */
   for (int32_t j = 0; j < n; j++)
     for (int32_t i = 0; i < j; i++) M[i + (size_t)j * (size_t)n] = M[j + (size_t)i * (size_t)n];
 }
 
-static void transpose(int32_t m, int32_t n, const double *restrict A, double *restrict B) { /* B (n, m) = A' */
+TWX_INLINE void transpose(int32_t m, int32_t n, const double *restrict A, double *restrict B) { /* B (n, m) = A' */
   for (int32_t j = 0; j < n; j++)
     for (int32_t i = 0; i < m; i++) B[j + (size_t)i * (size_t)n] = A[i + (size_t)j * (size_t)m];
 }
 
-static column_range nonzeros(int32_t n, const double *column) {
+TWX_INLINE column_range nonzeros(int32_t n, const double *column) {
   column_range r = {0, n};
   while (r.first < n && column[r.first] == 0) r.first++;
   while (r.last > r.first && column[r.last - 1] == 0) r.last--;
@@ -70,9 +70,8 @@ static column_range nonzeros(int32_t n, const double *column) {
 /* What follows: the lower triangle of t0 += F'P F and its terms with W; t2 (n, border rows) = the columns of the border's
  * multipliers. Columns of F have zeros at their ends: those of states that are constant, one entry. Factors are transposed,
  * so that columns of results are sums of columns. */
-static void add_cost_to_go(twx_work *w, const twx_stage *s) {
-  const twx_stage *next = s + 1;
-  const int32_t n = s->n, nx = s->next, nv = s->nv, np = w->np, nbe = w->nbe;
+TWX_INLINE void add_cost_to_go(twx_work *w, const twx_stage *s, const twx_stage *next) {
+  const int32_t n = s->n, nx = s->next, nv = s->nv, np = NP_OF(w), nbe = w->nbe;
   const double *const F = w->F + s->F, *const P = w->P + next->P, *const W = w->W + next->W;
   double *const M = w->t0, *const T = w->t1, *const R = w->t2, *const Tt = T + (size_t)nx * (size_t)n;
   double *const Wt = Tt + (size_t)nx * (size_t)n, *const Rt = Wt + (size_t)nx * (size_t)nbe;
@@ -98,7 +97,7 @@ static void add_cost_to_go(twx_work *w, const twx_stage *s) {
 }
 
 /* The rows of the stage's equalities that stand in the border, in the columns of their multipliers. */
-static void add_equalities(twx_work *w, const twx_stage *s) {
+TWX_INLINE void add_equalities(twx_work *w, const twx_stage *s) {
   for (int32_t r = 0; r < s->ne; r++) {
     const int32_t place = w->place[s->e + (size_t)r];
     if (place < 0) continue;
@@ -108,7 +107,7 @@ static void add_equalities(twx_work *w, const twx_stage *s) {
 }
 
 /* Rows and columns of fixed variables become those of the identity. M (n, n) whole, R (n, columns) or NULL. */
-static void fix(const double *free, int32_t first, int32_t count, int32_t n, double *M, int32_t columns, double *R) {
+TWX_INLINE void fix(const double *free, int32_t first, int32_t count, int32_t n, double *M, int32_t columns, double *R) {
   for (int32_t l = 0; l < count; l++) {
     if (free[l] != 0) continue;
     const int32_t i = first + l;
@@ -119,8 +118,8 @@ static void fix(const double *free, int32_t first, int32_t count, int32_t n, dou
 }
 
 /* The upper triangle of S of the border, of what M and R have for it: parameters by parameters, by equalities. */
-static void add_to_border(twx_work *w, const twx_stage *s) {
-  const int32_t np = w->np, nb = w->nb, nv = s->nv, n = s->n;
+TWX_INLINE void add_to_border(twx_work *w, const twx_stage *s) {
+  const int32_t np = NP_OF(w), nb = NB_OF(w), nv = s->nv, n = s->n;
   for (int32_t j = 0; j < np; j++)
     for (int32_t i = 0; i < np; i++) w->S[i + (size_t)j * (size_t)nb] += w->t0[nv + i + (size_t)(nv + j) * (size_t)n];
   for (int32_t j = 0; j < w->nbe; j++)
@@ -128,17 +127,17 @@ static void add_to_border(twx_work *w, const twx_stage *s) {
 }
 
 /* The upper triangle of S -= Y T, with Y' and T blocks (rows, nb); Y has this leading dimension. */
-static void subtract_from_border(twx_work *w, int32_t rows, const double *Y, int32_t leading, const double *T) {
-  for (int32_t j = 0; j < w->nb; j++)
-    twx_add_sums(j + 1, rows, -1, Y, leading, T + (size_t)j * (size_t)rows, w->S + (size_t)j * (size_t)w->nb);
+TWX_INLINE void subtract_from_border(twx_work *w, int32_t rows, const double *Y, int32_t leading, const double *T) {
+  for (int32_t j = 0; j < NB_OF(w); j++)
+    twx_add_sums(j + 1, rows, -1, Y, leading, T + (size_t)j * (size_t)rows, w->S + (size_t)j * (size_t)NB_OF(w));
 }
 
-static void negate(size_t count, double *a) {
+TWX_INLINE void negate(size_t count, double *a) {
   for (size_t i = 0; i < count; i++) a[i] = -a[i];
 }
 
 /* B of a stage, its lower triangle. */
-static void fill_block(twx_work *w, const twx_stage *s, const twx_factor *B) {
+TWX_INLINE void fill_block(twx_work *w, const twx_stage *s, const twx_factor *B) {
   const int32_t nx = s->nx, nu = s->nu, n = s->n, m = B->n;
   for (int32_t j = 0; j < nu; j++)
     memcpy(B->A + (size_t)j * (size_t)m, w->t0 + nx + (size_t)(nx + j) * (size_t)n, sizeof(double) * (size_t)nu);
@@ -153,10 +152,10 @@ static void fill_block(twx_work *w, const twx_stage *s, const twx_factor *B) {
 }
 
 /* [M_ux | M_up | R_u] over [E_x | E_p | 0] of a stage, in K; P and W begin as those of x. */
-static void fill_sides(twx_work *w, const twx_stage *s) {
-  const int32_t nx = s->nx, nu = s->nu, n = s->n, m = nu + s->nl, np = w->np;
+TWX_INLINE void fill_sides(twx_work *w, const twx_stage *s) {
+  const int32_t nx = s->nx, nu = s->nu, n = s->n, m = nu + s->nl, np = NP_OF(w);
   double *const Y = w->K + s->K;
-  for (int32_t j = 0; j < nx + w->nb; j++) {
+  for (int32_t j = 0; j < nx + NB_OF(w); j++) {
     const double *from = j < nx        ? w->t0 + (size_t)j * (size_t)n
                          : j < nx + np ? w->t0 + (size_t)(s->nv + j - nx) * (size_t)n
                                        : w->t2 + (size_t)(j - nx - np) * (size_t)n;
@@ -175,8 +174,8 @@ static void fill_sides(twx_work *w, const twx_stage *s) {
 
 /* Eliminate u and the multipliers of the stage: L, K and P, W. The count of negative eigenvalues beyond those of
  * equalities, or -1 where the block is singular. */
-static int32_t eliminate(twx_work *w, const twx_stage *s) {
-  const int32_t nx = s->nx, m = s->nu + s->nl, columns = nx + w->nb;
+TWX_INLINE int32_t eliminate(twx_work *w, const twx_stage *s) {
+  const int32_t nx = s->nx, m = s->nu + s->nl, columns = nx + NB_OF(w);
   const twx_factor B = twx_factor_in(m, w->L + s->L);
   double *const Y = w->K + s->K, *const T = w->t1, *const Yt = T + (size_t)m * (size_t)columns;
   fill_block(w, s, &B);
@@ -201,7 +200,7 @@ static int32_t eliminate(twx_work *w, const twx_stage *s) {
 
 /* Eliminate the free entries of x_0. */
 static int32_t eliminate_start(twx_work *w) {
-  const int32_t nx = w->stages[0].nx, nb = w->nb;
+  const int32_t nx = w->stages[0].nx, nb = NB_OF(w);
   const size_t sides = sizeof(double) * (size_t)nx * (size_t)nb;
   const twx_factor f = twx_factor_in(nx, w->L0);
   memcpy(f.A, w->P, sizeof(double) * (size_t)nx * (size_t)nx);
@@ -223,7 +222,7 @@ static int32_t eliminate_start(twx_work *w) {
 /* The factor C of Z'D^-1 Z - S_ee + softness, of so many negative eigenvalues; -1 where a pivot is rounding: a row
  * depends on others, or nothing moves it. */
 static int32_t factorize_equalities(twx_work *w, int32_t negative) {
-  const int32_t np = w->np, ne = w->nbe, nb = w->nb;
+  const int32_t np = NP_OF(w), ne = w->nbe, nb = NB_OF(w);
   const double least = w->options->pivot;
   const twx_factor f = twx_factor_in(ne, w->C);
   double most = 0;
@@ -249,7 +248,7 @@ static int32_t factorize_equalities(twx_work *w, int32_t negative) {
 /* The border: Lp of its parameters, Z = Lp^-1 S_pe, and C of its equalities, after so many negative eigenvalues beyond
  * those of equalities. Rows that depend on each other have no factor: they are softened. Source: [WB] Algorithm IC, IC-2. */
 static int32_t factorize_border(twx_work *w, int32_t negative) {
-  const int32_t np = w->np, ne = w->nbe, nb = w->nb;
+  const int32_t np = NP_OF(w), ne = w->nbe, nb = NB_OF(w);
   const size_t p = w->variables - (size_t)np;
   const twx_factor f = twx_factor_in(np, w->Lp);
   for (int32_t i = 0; i < np; i++) w->S[i + (size_t)i * (size_t)nb] += w->Sv[p + (size_t)i] + w->identity;
@@ -266,26 +265,30 @@ static int32_t factorize_border(twx_work *w, int32_t negative) {
   return factorize_equalities(w, negative + more);
 }
 
+/* A stage with what follows, eliminated; as `eliminate`. */
+TWX_INLINE int32_t factorize_stage(twx_work *w, int32_t k, const twx_stage *s, int32_t with_hessian) {
+  stage_cost(w, s, with_hessian);
+  if (k < w->N) add_cost_to_go(w, s, w->stages + k + 1);
+  else memset(w->t2, 0, sizeof(double) * (size_t)s->n * (size_t)w->nbe), mirror(s->n, w->t0);
+  add_equalities(w, s);
+  add_to_border(w, s);
+  fix(w->free + s->v + s->nx, s->nx, s->nu, s->n, w->t0, w->nbe, w->t2);
+  return eliminate(w, s);
+}
+
 /* Factor; 1: the inertia is that of a minimum, 0: it is another one, -1: a block is singular. */
 static int32_t factorize_once(twx_work *w, int32_t with_hessian) {
   int32_t negative = 0;
-  memset(w->S, 0, sizeof(double) * (size_t)w->nb * (size_t)w->nb);
+  memset(w->S, 0, sizeof(double) * (size_t)NB_OF(w) * (size_t)NB_OF(w));
   for (int32_t k = w->N; k >= 0; k--) {
-    const twx_stage *s = w->stages + k;
-    stage_cost(w, s, with_hessian);
-    if (k < w->N) add_cost_to_go(w, s);
-    else memset(w->t2, 0, sizeof(double) * (size_t)s->n * (size_t)w->nbe), mirror(s->n, w->t0);
-    add_equalities(w, s);
-    add_to_border(w, s);
-    fix(w->free + s->v + s->nx, s->nx, s->nu, s->n, w->t0, w->nbe, w->t2);
-    const int32_t more = eliminate(w, s);
+    const int32_t more = TWX_AT(w, k, factorize_stage, with_hessian);
     if (more < 0) return -1;
     if ((negative += more) > w->nbe) return 0; /* equalities of the border can take no more */
   }
   const int32_t more = eliminate_start(w);
   if (more < 0) return -1;
   negative += more;
-  mirror(w->nb, w->S);
+  mirror(NB_OF(w), w->S);
   return factorize_border(w, negative);
 }
 

@@ -11,11 +11,11 @@ static void record(twx_work *w, const twx_search *search, const twx_measures *m)
 }
 
 /* The barrier parameter falls as long as its problem is solved. Source: [WB] A-3, (7), (8). */
-static twx_status update_barrier(twx_work *w, twx_search *search) {
+static twx_status update_barrier(twx_work *w, twx_search *search, const twx_measures *m) {
   const twx_options *o = w->options;
   for (int32_t first = 1; !search->watching; first = 0) {
     const int32_t tiny = first && search->tiny > 1;
-    if (!tiny && twx_measure(w, w->barrier).error > o->barrier_error * w->barrier) break;
+    if (!tiny && twx_measure_again(w, m, w->barrier).error > o->barrier_error * w->barrier) break;
     const double before = w->barrier, least = w->exactness * o->barrier_least;
     w->barrier = twx_max(least, twx_min(o->barrier_factor * before, pow(before, o->barrier_power)));
     w->fraction = twx_max(o->boundary_fraction, 1 - w->barrier);
@@ -100,10 +100,10 @@ static void keep_acceptable(twx_work *w) {
 
 /* How a solve ends that came to no end: with the best iterate, if it is better than the last one. */
 static void end_at_best(twx_work *w) {
-  const twx_measures last = twx_measure(w, 0);
+  const twx_measures last = twx_measure(w);
   report(w, &last);
   if (!(w->best_error < last.error) || return_to(w, &w->best, w->best_z)) return;
-  const twx_measures best = twx_measure(w, 0);
+  const twx_measures best = twx_measure(w);
   report(w, &best);
 }
 
@@ -112,6 +112,7 @@ static void end_at_best(twx_work *w) {
 static void measure_rest(twx_work *w, twx_status status) {
   twx_statistics *t = w->statistics;
   t->minimum = 0, t->excess = NAN, t->worth = 0;
+  if (!(w->options->excess > 0)) return;
   const int32_t early = status == TWX_STALLED || status == TWX_ACCEPTABLE || status == TWX_UNBOUNDED_CURVATURE;
   if (early || (status == TWX_MAX_ITERATIONS && t->error <= w->options->acceptable)) twx_measure_optimum(w);
 }
@@ -122,7 +123,7 @@ static int32_t is_solution(twx_work *w, const twx_measures *m) {
   const twx_options *o = w->options;
   if (!(m->error <= o->tolerance && m->violation <= o->violation)) return 0;
   if (!(m->complementarity <= o->complementarity)) return 0;
-  if (twx_measure_optimum(w)) return 1;
+  if (!(o->excess > 0) || twx_measure_optimum(w)) return 1;
   if (m->error <= w->exactness * o->tolerance) w->exactness *= o->excess_decrease;
   keep_acceptable(w);
   return 0;
@@ -135,7 +136,7 @@ static twx_status iterate(twx_work *w) {
   int32_t acceptable = 0;
   w->best_error = INFINITY;
   for (twx_status status = TWX_SOLVED; status == TWX_SOLVED;) {
-    const twx_measures m = twx_measure(w, 0);
+    const twx_measures m = twx_measure(w);
     report(w, &m);
     if (is_solution(w, &m)) return TWX_SOLVED;
     keep_best(w, &m);
@@ -145,7 +146,7 @@ static twx_status iterate(twx_work *w) {
     if (w->here.cost < -o->cost_largest && m.violation <= twx_max(o->tolerance, 1e4 * TWX_EPSILON * largest_variable(w))) return TWX_UNBOUNDED;
     if (w->statistics->iterations >= (int32_t)o->iterations) return TWX_MAX_ITERATIONS;
     if (p->stop && p->stop(p->user, w->statistics->iterations, w->here.z)) return TWX_STOPPED;
-    status = update_barrier(w, &search);
+    status = update_barrier(w, &search, &m);
     if (status == TWX_SOLVED) status = find_direction(w);
     if (status != TWX_SOLVED && search.watching) { /* steps that were taken unseen led nowhere */
       search.watching = search.shortened = 0, status = go_back(w);

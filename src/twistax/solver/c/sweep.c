@@ -7,7 +7,7 @@
 #include "work.h"
 
 /* y of the rows of a stage where v = 0: (sigma r.h - r.s) / (1 + softness sigma). */
-static void rows_at_rest(const twx_work *w, const twx_stage *s, const twx_residual *r, double *y) {
+TWX_INLINE void rows_at_rest(const twx_work *w, const twx_stage *s, const twx_residual *r, double *y) {
   for (int32_t i = 0; i < s->nh; i++) {
     const size_t row = s->h + (size_t)i;
     const double sigma = w->Ss[row] + w->identity;
@@ -16,7 +16,7 @@ static void rows_at_rest(const twx_work *w, const twx_stage *s, const twx_residu
 }
 
 /* The gradient of a stage in (x, u, p) without what follows; p's part of the cost itself is added once, at the end. */
-static void stage_gradient(twx_work *w, const twx_stage *s, const twx_residual *r, double *q) {
+TWX_INLINE void stage_gradient(twx_work *w, const twx_stage *s, const twx_residual *r, double *q) {
   double *const y = w->t3;
   memset(q, 0, sizeof(double) * (size_t)s->n);
   memcpy(q, r->v + s->v, sizeof(double) * (size_t)s->nv);
@@ -26,44 +26,45 @@ static void stage_gradient(twx_work *w, const twx_stage *s, const twx_residual *
   twx_add_apply_transposed(s->ne, s->n, w->Je + s->Je, s->ne, y, q);
 }
 
+TWX_INLINE void stage_back(twx_work *w, int32_t k, const twx_stage *s, const twx_residual *r) {
+  const twx_stage *const next = w->stages + k + 1;
+  const int32_t nx = s->nx, nu = s->nu, np = NP_OF(w), nb = NB_OF(w);
+  double *const slope = w->t1, *const q = w->t2;
+  stage_gradient(w, s, r, q);
+  if (k < w->N) {
+    memcpy(slope, w->p + next->v, sizeof(double) * (size_t)s->next);
+    twx_add_apply(s->next, s->next, w->P + next->P, s->next, r->c + s->c, slope);
+    twx_add_apply_transposed(s->next, s->n, w->F + s->F, s->next, slope, q);
+    twx_add_apply_transposed(s->next, nb, w->W + next->W, s->next, r->c + s->c, w->border);
+  }
+  for (int32_t i = 0; i < np; i++) w->border[i] += q[s->nv + i];
+  double *const p = w->p + s->v, *const step = w->k + s->k;
+  for (int32_t i = 0; i < nu; i++) step[i] = w->free[s->v + (size_t)(nx + i)] == 0 ? 0 : q[nx + i];
+  for (int32_t i = 0; i < s->ne; i++) {
+    const int32_t place = w->place[s->e + (size_t)i];
+    if (place < 0) step[nu - place - 1] = r->e[s->e + (size_t)i];
+  }
+  const int32_t m = nu + s->nl;
+  const twx_factor B = twx_factor_in(m, w->L + s->L);
+  memcpy(p, q, sizeof(double) * (size_t)nx);
+  twx_add_apply_transposed(m, nx, w->K + s->K, m, step, p);
+  twx_add_apply_transposed(m, nb, w->K + s->K + (size_t)nx * (size_t)m, m, step, w->border);
+  for (int32_t i = 0; i < m; i++) step[i] = -step[i];
+  twx_solve_symmetric(&B, 1, step, w->t3);
+}
+
 /* Back: p of every node, k = -B^-1 (q_u, e) of every stage, and the right side of the border. */
 static void sweep_back(twx_work *w, const twx_residual *r) {
-  const int32_t np = w->np, nb = w->nb;
-  double *const slope = w->t1, *const q = w->t2;
-  for (int32_t i = 0; i < np; i++) w->border[i] = r->v[w->variables - (size_t)(np - i)];
-  for (int32_t i = 0; i < w->ne; i++) if (w->place[i] >= 0) w->border[np + w->place[i]] = r->e[i];
-  for (int32_t k = w->N; k >= 0; k--) {
-    const twx_stage *s = w->stages + k;
-    const int32_t nx = s->nx, nu = s->nu;
-    stage_gradient(w, s, r, q);
-    if (k < w->N) {
-      memcpy(slope, w->p + s[1].v, sizeof(double) * (size_t)s->next);
-      twx_add_apply(s->next, s->next, w->P + s[1].P, s->next, r->c + s->c, slope);
-      twx_add_apply_transposed(s->next, s->n, w->F + s->F, s->next, slope, q);
-      twx_add_apply_transposed(s->next, nb, w->W + s[1].W, s->next, r->c + s->c, w->border);
-    }
-    for (int32_t i = 0; i < np; i++) w->border[i] += q[s->nv + i];
-    double *const p = w->p + s->v, *const step = w->k + s->k;
-    for (int32_t i = 0; i < nu; i++) step[i] = w->free[s->v + (size_t)(nx + i)] == 0 ? 0 : q[nx + i];
-    for (int32_t i = 0; i < s->ne; i++) {
-      const int32_t place = w->place[s->e + (size_t)i];
-      if (place < 0) step[nu - place - 1] = r->e[s->e + (size_t)i];
-    }
-    const int32_t m = nu + s->nl;
-    const twx_factor B = twx_factor_in(m, w->L + s->L);
-    memcpy(p, q, sizeof(double) * (size_t)nx);
-    twx_add_apply_transposed(m, nx, w->K + s->K, m, step, p);
-    twx_add_apply_transposed(m, nb, w->K + s->K + (size_t)nx * (size_t)m, m, step, w->border);
-    for (int32_t i = 0; i < m; i++) step[i] = -step[i];
-    twx_solve_symmetric(&B, 1, step, w->t3);
-  }
+  for (int32_t i = 0; i < NP_OF(w); i++) w->border[i] = r->v[w->variables - (size_t)(NP_OF(w) - i)];
+  for (int32_t i = 0; i < w->ne; i++) if (w->place[i] >= 0) w->border[NP_OF(w) + w->place[i]] = r->e[i];
+  for (int32_t k = w->N; k >= 0; k--) TWX_AT(w, k, stage_back, r);
 }
 
 /* The free entries of x_0 at rest, in `start`, and what they add to the border. */
 static void solve_start(twx_work *w, double *start) {
   const int32_t nx = w->stages[0].nx;
   for (int32_t i = 0; i < nx; i++) start[i] = w->free[i] != 0 ? w->p[i] : 0;
-  twx_add_apply_transposed(nx, w->nb, w->K0, nx, start, w->border);
+  twx_add_apply_transposed(nx, NB_OF(w), w->K0, nx, start, w->border);
   for (int32_t i = 0; i < nx; i++) start[i] = -start[i];
   const twx_factor f = twx_factor_in(nx, w->L0);
   twx_solve_symmetric(&f, 1, start, w->t3);
@@ -72,7 +73,7 @@ static void solve_start(twx_work *w, double *start) {
 /* border = the parameters' step and the equalities' multipliers, of its right side. With S_pp = Q'L D L'Q:
  * t = L^-1 Q r_p,  C ye = r_e - Z'D^-1 t,  p = -Q'L'^-1 D^-1 (t + Z ye). */
 static void solve_border(twx_work *w) {
-  const int32_t np = w->np, ne = w->nbe;
+  const int32_t np = NP_OF(w), ne = w->nbe;
   const twx_factor parameters = twx_factor_in(np, w->Lp), equalities = twx_factor_in(ne, w->C);
   double *const r = w->border, *const ye = r + np, *const t = w->t2;
   for (int32_t i = 0; i < np; i++) if (w->free[w->variables - (size_t)(np - i)] == 0) r[i] = 0;
@@ -88,30 +89,32 @@ static void solve_border(twx_work *w) {
   twx_solve_upper_part(&parameters, 1, r, w->t3);
 }
 
+TWX_INLINE void stage_ahead(twx_work *w, int32_t k, const twx_stage *s, const twx_residual *r, twx_iterate *d) {
+  const twx_stage *const next = w->stages + k + 1;
+  double *const x = d->v + s->v, *const after = d->v + next->v, *const lambda = d->lambda + s->c, *const u = w->t2;
+  const int32_t m = s->nu + s->nl, nb = NB_OF(w), np = NP_OF(w);
+  memcpy(u, w->k + s->k, sizeof(double) * (size_t)m);
+  twx_add_apply(m, s->nx, w->K + s->K, m, x, u);
+  twx_add_apply(m, nb, w->K + s->K + (size_t)s->nx * (size_t)m, m, w->border, u);
+  memcpy(x + s->nx, u, sizeof(double) * (size_t)s->nu);
+  for (int32_t i = 0; i < s->ne; i++) {
+    const int32_t place = w->place[s->e + (size_t)i];
+    if (place < 0) d->ye[s->e + (size_t)i] = u[s->nu - place - 1];
+  }
+  memcpy(after, r->c + s->c, sizeof(double) * (size_t)s->next);
+  twx_add_apply(s->next, s->nv, w->F + s->F, s->next, x, after);
+  twx_add_apply(s->next, np, w->F + s->F + (size_t)s->nv * (size_t)s->next, s->next, w->border, after);
+  memcpy(lambda, w->p + next->v, sizeof(double) * (size_t)s->next);
+  twx_add_apply(s->next, s->next, w->P + next->P, s->next, after, lambda);
+  twx_add_apply(s->next, nb, w->W + next->W, s->next, w->border, lambda);
+}
+
 /* Ahead: the step of v, and lambda. `start` is x_0 at rest. */
 static void sweep_ahead(twx_work *w, const twx_residual *r, const double *start, twx_iterate *d) {
-  const int32_t nb = w->nb, np = w->np;
+  const int32_t np = NP_OF(w);
   memcpy(d->v, start, sizeof(double) * (size_t)w->stages[0].nx);
-  twx_add_apply(w->stages[0].nx, nb, w->K0, w->stages[0].nx, w->border, d->v);
-  for (int32_t k = 0; k < w->N; k++) {
-    const twx_stage *s = w->stages + k;
-    double *const x = d->v + s->v, *const after = d->v + s[1].v, *const lambda = d->lambda + s->c, *const u = w->t2;
-    const int32_t m = s->nu + s->nl;
-    memcpy(u, w->k + s->k, sizeof(double) * (size_t)m);
-    twx_add_apply(m, s->nx, w->K + s->K, m, x, u);
-    twx_add_apply(m, nb, w->K + s->K + (size_t)s->nx * (size_t)m, m, w->border, u);
-    memcpy(x + s->nx, u, sizeof(double) * (size_t)s->nu);
-    for (int32_t i = 0; i < s->ne; i++) {
-      const int32_t place = w->place[s->e + (size_t)i];
-      if (place < 0) d->ye[s->e + (size_t)i] = u[s->nu - place - 1];
-    }
-    memcpy(after, r->c + s->c, sizeof(double) * (size_t)s->next);
-    twx_add_apply(s->next, s->nv, w->F + s->F, s->next, x, after);
-    twx_add_apply(s->next, np, w->F + s->F + (size_t)s->nv * (size_t)s->next, s->next, w->border, after);
-    memcpy(lambda, w->p + s[1].v, sizeof(double) * (size_t)s->next);
-    twx_add_apply(s->next, s->next, w->P + s[1].P, s->next, after, lambda);
-    twx_add_apply(s->next, nb, w->W + s[1].W, s->next, w->border, lambda);
-  }
+  twx_add_apply(w->stages[0].nx, NB_OF(w), w->K0, w->stages[0].nx, w->border, d->v);
+  for (int32_t k = 0; k < w->N; k++) TWX_AT(w, k, stage_ahead, r, d);
   memcpy(d->v + w->variables - (size_t)np, w->border, sizeof(double) * (size_t)np);
   /* The squares of equalities, weight |Je v + e|^2 / 2, are a part of the multipliers where a row is left soft. */
   for (int32_t i = 0; i < w->ne; i++)
@@ -119,9 +122,9 @@ static void sweep_ahead(twx_work *w, const twx_residual *r, const double *start,
 }
 
 /* product (rows,) += J (x, u, p) of a block of rows of a stage. */
-static void along(const twx_work *w, const twx_stage *s, int32_t rows, const double *J, const double *v, double *product) {
+TWX_INLINE void along(const twx_work *w, const twx_stage *s, int32_t rows, const double *J, const double *v, double *product) {
   twx_add_apply(rows, s->nv, J, rows, v + s->v, product);
-  twx_add_apply(rows, w->np, J + (size_t)s->nv * (size_t)rows, rows, v + w->variables - (size_t)w->np, product);
+  twx_add_apply(rows, NP_OF(w), J + (size_t)s->nv * (size_t)rows, rows, v + w->variables - (size_t)NP_OF(w), product);
 }
 
 static void slacks(twx_work *w, const twx_residual *r, twx_iterate *d) {
@@ -144,35 +147,38 @@ static void solve_once(twx_work *w, const twx_residual *r, twx_iterate *d) {
 }
 
 /* left += block' multipliers, for (x, u) of the stage and for p. */
-static void add_pull(const twx_work *w, const twx_stage *s, int32_t rows, const double *J, const double *multipliers, double *left) {
+TWX_INLINE void add_pull(const twx_work *w, const twx_stage *s, int32_t rows, const double *J, const double *multipliers, double *left) {
   twx_add_apply_transposed(rows, s->nv, J, rows, multipliers, left + s->v);
-  twx_add_apply_transposed(rows, w->np, J + (size_t)s->nv * (size_t)rows, rows, multipliers, left + w->variables - (size_t)w->np);
+  twx_add_apply_transposed(rows, NP_OF(w), J + (size_t)s->nv * (size_t)rows, rows, multipliers, left + w->variables - (size_t)NP_OF(w));
+}
+
+/* The rows of a stage in left += K d. */
+TWX_INLINE void stage_product(twx_work *w, int32_t k, const twx_stage *s, const twx_iterate *d, twx_residual *left, int32_t with_hessian) {
+  const size_t p = w->variables - (size_t)NP_OF(w), next = w->stages[k < w->N ? k + 1 : k].v;
+  if (with_hessian) {
+    double *const z = w->t2, *const product = w->t3;
+    memcpy(z, d->v + s->v, sizeof(double) * (size_t)s->nv), memcpy(z + s->nv, d->v + p, sizeof(double) * (size_t)NP_OF(w));
+    memset(product, 0, sizeof(double) * (size_t)s->n);
+    twx_add_apply(s->n, s->n, w->H + s->H, s->n, z, product);
+    for (int32_t i = 0; i < s->nv; i++) left->v[s->v + (size_t)i] += product[i];
+    for (int32_t i = 0; i < NP_OF(w); i++) left->v[p + (size_t)i] += product[s->nv + i];
+  }
+  add_pull(w, s, s->nh, w->Jh + s->Jh, d->y + s->h, left->v), along(w, s, s->nh, w->Jh + s->Jh, d->v, left->h + s->h);
+  add_pull(w, s, s->ne, w->Je + s->Je, d->ye + s->e, left->v), along(w, s, s->ne, w->Je + s->Je, d->v, left->e + s->e);
+  add_pull(w, s, s->next, w->F + s->F, d->lambda + s->c, left->v), along(w, s, s->next, w->F + s->F, d->v, left->c + s->c);
+  for (int32_t i = 0; i < s->next; i++) {
+    left->v[next + (size_t)i] -= d->lambda[s->c + (size_t)i];
+    left->c[s->c + (size_t)i] -= d->v[next + (size_t)i];
+  }
 }
 
 /* left = r + K d: what a step leaves of the equations. */
 void twx_product(twx_work *w, const twx_residual *r, const twx_iterate *d, twx_residual *left, int32_t with_hessian) {
-  const size_t p = w->variables - (size_t)w->np;
   const double of_border = w->softness + w->border_softness / (1 + w->weight * w->border_softness);
   for (size_t i = 0; i < w->variables; i++) left->v[i] = r->v[i] + (w->Sv[i] + w->identity) * d->v[i];
   memcpy(left->h, r->h, sizeof(double) * w->rows), memcpy(left->e, r->e, sizeof(double) * (size_t)w->ne);
   memcpy(left->c, r->c, sizeof(double) * w->defects);
-  FOR_STAGES(w, k, s) {
-    if (with_hessian) {
-      double *const z = w->t2, *const product = w->t3;
-      memcpy(z, d->v + s->v, sizeof(double) * (size_t)s->nv), memcpy(z + s->nv, d->v + p, sizeof(double) * (size_t)w->np);
-      memset(product, 0, sizeof(double) * (size_t)s->n);
-      twx_add_apply(s->n, s->n, w->H + s->H, s->n, z, product);
-      for (int32_t i = 0; i < s->nv; i++) left->v[s->v + (size_t)i] += product[i];
-      for (int32_t i = 0; i < w->np; i++) left->v[p + (size_t)i] += product[s->nv + i];
-    }
-    add_pull(w, s, s->nh, w->Jh + s->Jh, d->y + s->h, left->v), along(w, s, s->nh, w->Jh + s->Jh, d->v, left->h + s->h);
-    add_pull(w, s, s->ne, w->Je + s->Je, d->ye + s->e, left->v), along(w, s, s->ne, w->Je + s->Je, d->v, left->e + s->e);
-    add_pull(w, s, s->next, w->F + s->F, d->lambda + s->c, left->v), along(w, s, s->next, w->F + s->F, d->v, left->c + s->c);
-    for (int32_t i = 0; i < s->next; i++) {
-      left->v[s[1].v + (size_t)i] -= d->lambda[s->c + (size_t)i];
-      left->c[s->c + (size_t)i] -= d->v[s[1].v + (size_t)i];
-    }
-  }
+  for (int32_t k = 0; k <= w->N; k++) TWX_AT(w, k, stage_product, d, left, with_hessian);
   for (size_t i = 0; i < w->rows; i++) {
     left->h[i] += d->s[i] - w->softness * d->y[i];
     left->s[i] = r->s[i] + (w->Ss[i] + w->identity) * d->s[i] + d->y[i];

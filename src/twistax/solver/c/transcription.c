@@ -48,15 +48,15 @@ static double rows_values(twx_memory *t, const double *z, double *h, double *e) 
 
 /* The slopes of the rows of a block by the unknowns, in `lane_moved`, from this row on. */
 static void move_rows(const twx_memory *t, size_t point, size_t block, size_t rows, size_t from) {
-  const size_t before = from * t->size, entries = rows * t->size - before;
+  const size_t before = from * SIZE_OF(t), entries = rows * SIZE_OF(t) - before;
   double *const moved = t->lane_moved + before * TWX_LANES, *const packed = twx_is_start(t, point) ? moved : t->lane_rows;
-  twx_pack(t, block, rows * t->size, entries, t->row_slopes + before, packed);
-  if (!twx_is_start(t, point)) twx_lanes_along(t, rows - from, packed, t->size, twx_maps_at(t, point, block), moved);
+  twx_pack(t, block, rows * SIZE_OF(t), entries, t->row_slopes + before, packed);
+  if (!twx_is_start(t, point)) twx_lanes_along(t, rows - from, packed, SIZE_OF(t), twx_maps_at(t, point, block), moved);
 }
 
 static void rows_jacobians(twx_memory *t, const double *z, double *gradient, double *Jh, double *Je) {
   const twx_phase *f = t->phase;
-  const size_t R = (size_t)f->path_rows, size = t->size, nv = t->n + (size_t)f->m;
+  const size_t R = (size_t)f->path_rows, size = SIZE_OF(t), nv = N_OF(t) + (size_t)f->m;
   for (size_t point = 0; point < t->points; point++) {
     if (!is_asked(t, point)) continue;
     const size_t from = has_rows(t, point) ? 0 : R;
@@ -78,7 +78,7 @@ static void rows_jacobians(twx_memory *t, const double *z, double *gradient, dou
 
 /* The second derivative `bends` of q at a place, of all intervals, adds to H. */
 static void add_bends(const twx_memory *t, size_t place) {
-  const size_t size = t->size, entries = size * size;
+  const size_t size = SIZE_OF(t), entries = size * size;
   for (size_t block = 0; block < t->blocks; block++) {
     twx_pack(t, block, entries, entries, t->bends, t->lane_rows);
     const double *const maps = twx_is_start(t, place) ? NULL : twx_maps_at(t, place, block);
@@ -88,7 +88,7 @@ static void add_bends(const twx_memory *t, size_t place) {
 
 /* The upper triangles of all intervals to their blocks, and the lower ones from them. */
 static void write_hessians(const twx_memory *t, double *H) {
-  const size_t size = t->size;
+  const size_t size = SIZE_OF(t);
   for (size_t k = 0; k < t->K; k++) {
     double *const block = twx_at_stage(H, t->phase->at.H, t->first + k);
     const double *const lanes = t->H + k / TWX_LANES * size * size * TWX_LANES + k % TWX_LANES;
@@ -100,10 +100,10 @@ static void write_hessians(const twx_memory *t, double *H) {
 /* Second derivatives of rows and cost, and their gradients by eta. */
 static void rows_hessians(twx_memory *t, const double *z, double weight, const double *y, const double *ye) {
   const twx_phase *f = t->phase;
-  const size_t R = (size_t)f->path_rows, size = t->size;
+  const size_t R = (size_t)f->path_rows, size = SIZE_OF(t);
   for (size_t point = 0; point < t->points; point++) {
-    double *pulls = t->pulls + point * t->K * t->n;
-    memset(pulls, 0, sizeof(double) * t->K * t->n);
+    double *pulls = t->pulls + point * t->K * N_OF(t);
+    memset(pulls, 0, sizeof(double) * t->K * N_OF(t));
     if (!is_asked(t, point)) continue;
     for (size_t k = 0; k < t->K; k++) {
       double *w = t->weights + k * (R + 1);
@@ -117,8 +117,8 @@ static void rows_hessians(twx_memory *t, const double *z, double weight, const d
     twx_call(&f->rows.slopes, t, in, t->K, t->row_slopes, (R + 1) * size);
     for (size_t k = 0; k < t->K; k++)
       for (size_t r = 0; r <= R; r++)
-        for (size_t i = 0; i < t->n && t->weights[k * (R + 1) + r] != 0; i++)
-          pulls[k * t->n + i] += t->weights[k * (R + 1) + r] * t->row_slopes[(k * (R + 1) + r) * size + i];
+        for (size_t i = 0; i < N_OF(t) && t->weights[k * (R + 1) + r] != 0; i++)
+          pulls[k * N_OF(t) + i] += t->weights[k * (R + 1) + r] * t->row_slopes[(k * (R + 1) + r) * size + i];
     if (!f->rows.bends.run) continue;
     twx_call(&f->rows.bends, t, in, t->K, t->bends, size * size);
     add_bends(t, point);
@@ -129,7 +129,7 @@ static void rows_hessians(twx_memory *t, const double *z, double weight, const d
 
 static void gaps(twx_memory *t, const double *z, const twx_kernel *f, const double *weights, double *out, size_t size) {
   twx_inputs in = twx_inputs_at(t, z, (size_t)t->phase->substeps);
-  in.weights = weights, in.weight_width = t->n;
+  in.weights = weights, in.weight_width = N_OF(t);
   twx_call(f, t, in, t->K, out, size);
 }
 
@@ -139,7 +139,7 @@ static int32_t is_turned(const twx_phase *f) { return f->turn.run && !f->steps; 
 /* Derivatives of the defects by eta at the ends, their rows multiplied by the left Jacobians of the defects. */
 static void gap_slopes(twx_memory *t, const double *z) {
   const twx_phase *f = t->phase;
-  const size_t n = t->n;
+  const size_t n = N_OF(t);
   gaps(t, z, &f->gap.slopes, NULL, t->gap_slopes, n * n);
   if (!is_turned(f)) return;
   gaps(t, z, &f->gap.value, NULL, t->defects, n);
@@ -152,7 +152,7 @@ static void gap_slopes(twx_memory *t, const double *z) {
 
 static void gap_jacobians(const twx_memory *t, double *F) {
   const twx_phase *f = t->phase;
-  const size_t n = t->n, size = t->size;
+  const size_t n = N_OF(t), size = SIZE_OF(t);
   for (size_t block = 0; block < t->blocks; block++) {
     twx_pack(t, block, n * n, n * n, t->gap_slopes, t->lane_rows);
     twx_lanes_along(t, n, t->lane_rows, n, twx_maps_at(t, (size_t)f->substeps, block), t->lane_moved);
@@ -166,7 +166,7 @@ static void gap_jacobians(const twx_memory *t, double *F) {
 
 /* out (K, n) += rows of weights times matrices (n, n). */
 static void add_weighted(const twx_memory *t, const double *restrict weights, const double *restrict M, double *restrict out) {
-  const size_t n = t->n;
+  const size_t n = N_OF(t);
   for (size_t k = 0; k < t->K; k++)
     for (size_t i = 0; i < n; i++)
       for (size_t j = 0; j < n; j++) out[k * n + j] += weights[k * n + i] * M[(k * n + i) * n + j];
@@ -174,19 +174,19 @@ static void add_weighted(const twx_memory *t, const double *restrict weights, co
 
 /* Second derivatives of the defects by eta at the ends. */
 static void gap_bends(twx_memory *t, const double *z) {
-  const size_t n = t->n;
+  const size_t n = N_OF(t);
   gaps(t, z, &t->phase->gap.bends, t->weights, t->bends, n * n);
   for (size_t block = 0; block < t->blocks; block++) {
     twx_pack(t, block, n * n, n * n, t->bends, t->lane_rows);
     twx_lanes_bends(t, t->lane_rows, n, twx_maps_at(t, (size_t)t->phase->substeps, block),
-                    t->H + block * t->size * t->size * TWX_LANES);
+                    t->H + block * SIZE_OF(t) * SIZE_OF(t) * TWX_LANES);
   }
 }
 
 /* Derivatives of the defects, and with second ones the adjoints at the ends. */
 static void gap_derivatives(twx_memory *t, const double *z, const twx_multipliers *multipliers, const twx_derivatives *d) {
   const twx_phase *f = t->phase;
-  const size_t count = t->K * t->n;
+  const size_t count = t->K * N_OF(t);
   const double *const weights = d->H ? multipliers->lambda + f->at.c[t->first] : NULL;
   const int32_t weighted = d->H && !is_zero(weights, count);
   if (d->H) memset(t->adjoint, 0, sizeof(double) * count);
@@ -204,7 +204,7 @@ static void gap_derivatives(twx_memory *t, const double *z, const twx_multiplier
 /* Adjoints back through the substeps of all intervals; each stage adds the second derivative of its rate. */
 static void rate_hessians(twx_memory *t, const double *z, double *adjoint) {
   const twx_phase *f = t->phase;
-  const size_t S = (size_t)f->substeps, s = (size_t)f->stages, n = t->n, size = t->size;
+  const size_t S = (size_t)f->substeps, s = STAGES_OF(f), n = N_OF(t), size = SIZE_OF(t);
   for (size_t i = 0; i < t->K * n; i++) adjoint[i] += t->pulls[S * t->K * n + i];
   for (size_t j = S; j-- > 0;) {
     twx_adjoint_stages(t, j, adjoint);
@@ -253,7 +253,7 @@ static int32_t window_derivatives(twx_memory *t, const double *z, const twx_mult
   if (twx_sensitivities(t, z)) return 1;
   if (d->F) rows_jacobians(t, z, d->gradient, d->Jh, d->Je);
   if (d->H) {
-    memset(t->H, 0, sizeof(double) * t->blocks * t->size * t->size * TWX_LANES);
+    memset(t->H, 0, sizeof(double) * t->blocks * SIZE_OF(t) * SIZE_OF(t) * TWX_LANES);
     rows_hessians(t, z, weights->cost, weights->y, weights->ye);
   }
   gap_derivatives(t, z, weights, d);

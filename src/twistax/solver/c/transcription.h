@@ -71,7 +71,7 @@ typedef struct {
   twx_kernel retract, turn;     /* turn: the left Jacobian of a defect, where the manifold is not flat */
   const twx_node *node;         /* the last one is the end, with the final cost as its last row */
   const twx_join *join;         /* to the next phase, or NULL */
-  int32_t window;               /* intervals that are evaluated together, or 0: all, and what is integrated is kept */
+  int32_t window;               /* intervals that are evaluated together, or 0: all, and sensitivities are kept */
   double *cost_slopes;          /* (intervals + 1, p): what each stage adds to the gradient of the cost by p, of the last jacobians */
   double *work, *scratch;       /* scratch: of derivatives; where not all intervals are evaluated together nothing in it is kept */
 } twx_phase;

@@ -72,6 +72,26 @@ static inline double twx_above(const twx_work *w, const double *v, size_t i) {
 #define FOR_STAGES(w, k, stage) \
   for (int32_t k = 0; k <= (w)->N; k++) \
     for (const twx_stage *stage = (w)->stages + k; stage; stage = NULL)
+/* f(w, k, stage, ...). Where a program solves one problem alone, whose stages but the last have the same sizes, these are
+ * constants in a copy of the stage, and loops over them are unrolled. */
+#ifdef TWX_STATES
+static inline twx_stage twx_sized(const twx_stage *s) {
+  twx_stage sized = *s;
+  sized.nx = sized.next = TWX_STATES, sized.nu = TWX_CONTROLS;
+  sized.nv = TWX_STATES + TWX_CONTROLS, sized.n = TWX_STATES + TWX_CONTROLS + TWX_PARAMETERS;
+  if (!TWX_INEQUALITIES) sized.nh = 0;
+  if (!TWX_EQUALITIES) sized.ne = sized.nl = 0;
+  return sized;
+}
+#define TWX_AT(w, k, f, ...) \
+  ((k) < (w)->N ? f(w, k, (const twx_stage[1]){twx_sized((w)->stages + (k))}, __VA_ARGS__) : f(w, k, (w)->stages + (k), __VA_ARGS__))
+#define NP_OF(w) ((void)(w), TWX_PARAMETERS)
+#define NB_OF(w) (TWX_EQUALITIES ? (w)->nb : TWX_PARAMETERS)
+#else
+#define NP_OF(w) ((w)->np)
+#define NB_OF(w) ((w)->nb)
+#define TWX_AT(w, k, f, ...) f(w, k, (w)->stages + (k), __VA_ARGS__)
+#endif
 #define FOR_FREE(w, i) for (size_t i = 0; i < (w)->variables; i++) if ((w)->free[i] != 0)
 
 /* symmetric.c: a factor in memory of `twx_factor_size` doubles, n (n + 3) of them. */
@@ -79,13 +99,13 @@ typedef struct {
   int32_t n;
   double *A, *row, *block, *added; /* block: rows of the block that begins there; added: absolute sums of the diagonal */
 } twx_factor;
-TWX_INTERNAL twx_factor twx_factor_in(int32_t n, double *memory);
+TWX_SMALL twx_factor twx_factor_in(int32_t n, double *memory);
 TWX_INTERNAL size_t twx_factor_size(int32_t n);
 TWX_INTERNAL int32_t twx_factorize_symmetric(const twx_factor *factor);
-TWX_INTERNAL void twx_solve_lower_part(const twx_factor *factor, int32_t columns, double *B, double *scratch);
-TWX_INTERNAL void twx_solve_diagonal_part(const twx_factor *factor, int32_t columns, double *B);
-TWX_INTERNAL void twx_solve_upper_part(const twx_factor *factor, int32_t columns, double *B, double *scratch);
-TWX_INTERNAL void twx_solve_symmetric(const twx_factor *factor, int32_t columns, double *B, double *scratch);
+TWX_SMALL void twx_solve_lower_part(const twx_factor *factor, int32_t columns, double *B, double *scratch);
+TWX_SMALL void twx_solve_diagonal_part(const twx_factor *factor, int32_t columns, double *B);
+TWX_SMALL void twx_solve_upper_part(const twx_factor *factor, int32_t columns, double *B, double *scratch);
+TWX_SMALL void twx_solve_symmetric(const twx_factor *factor, int32_t columns, double *B, double *scratch);
 
 /* workspace.c */
 TWX_INTERNAL size_t twx_carve(twx_work *w, const twx_problem *problem, double *base);
@@ -112,12 +132,13 @@ TWX_INTERNAL void twx_solve_system(twx_work *w, const twx_residual *right, twx_i
 
 /* measures.c */
 typedef struct {
-  double error, stationarity, violation, complementarity;
+  double error, stationarity, violation, complementarity, dual_scale, bound_scale;
 } twx_measures;
 TWX_INTERNAL double twx_violation(const twx_work *w, const twx_values *at, int32_t largest);
 TWX_INTERNAL double twx_barrier_of_bounds(const twx_work *w, const twx_values *at, double barrier);
 TWX_INTERNAL double twx_barrier(const twx_work *w, const twx_values *at);
-TWX_INTERNAL twx_measures twx_measure(twx_work *w, double barrier);
+TWX_INTERNAL twx_measures twx_measure(twx_work *w);
+TWX_INTERNAL twx_measures twx_measure_again(const twx_work *w, const twx_measures *m, double barrier);
 
 /* optimum.c */
 TWX_INTERNAL int32_t twx_measure_optimum(twx_work *w);

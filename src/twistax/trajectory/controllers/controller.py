@@ -23,7 +23,7 @@ from ..strategy.measure import COST
 from ..strategy.status import Status
 from ..strategy.warm import warm_start, with_ends
 from .barrier import BARRIER_LEAST, BARRIER_MOST, BARRIER_SHARE
-from .export import write_controller
+from .export import MEMORY, write_controller
 from .first_node import FirstNode
 from .gains import Gains
 from .log import ControllerLog, StepRecord
@@ -106,7 +106,7 @@ class Controller:
             self.largest_step = solver.largest_step
             units = solver.units(start.point, instance) if start.units is None else start.units
             self._plan_units = PlanUnits(staged, units)
-            options = solver.options(max_iterations) | {"warm_start": 1.0}
+            options = solver.options(max_iterations) | {"warm_start": 1.0, "excess": 0.0}
             bounds = staged.limits(staged.coordinates(staged.flat(start.point)), instance)
             self.prepared = PreparedSolve(
                 staged.transcription, self.units, solver.largest_step, bounds, Options(**options)
@@ -344,6 +344,7 @@ class Controller:
         name: str = "controller",
         states: Sequence[Mapping[str, Any]] | None = None,
         tolerance: float = 1e-9,
+        memory: int = MEMORY,
     ) -> CFiles:
         """Write C99 code: `name.h` with the calling convention, `name.c`, and `name_test.c` with reference values.
 
@@ -357,6 +358,8 @@ class Controller:
             states: measured states of the test program, which shifts the plan after each; by default random states near
                 the plan.
             tolerance: of its comparison, relative to the largest entry of an iterate.
+            memory: bytes that the controller may take to be faster; with 0 it is as small as it can be. The header
+                states its size.
         Returns:
             The paths: `header`, `source`, `test`.
         Raises:
@@ -364,7 +367,7 @@ class Controller:
             InputError: a name that C does not have; the directory cannot be written to, or has other files of those
                 names.
         """
-        return write_controller(self, directory, name=name, states=states, tolerance=tolerance)
+        return write_controller(self, directory, name=name, states=states, tolerance=tolerance, memory=memory)
 
     @property
     def measures(self) -> dict[str, float]:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy import ndarray as Array
 
-from ...checks import number, path_of
+from ...checks import number, path_of, whole
 from ...progress import watching
 from ...scalar.targets.c import c_type
 from ...solver.exported.kernel_code import array
@@ -28,12 +28,15 @@ from .rehearsal import drawn_states, rehearsed
 
 _REAL = c_type(np.dtype(float))
 
+#: Bytes of memory that a controller may take to be faster.
+MEMORY = 256 * 1024
+
 
 class ControllerCode:
     """The C code of a controller with its present plan."""
 
-    def __init__(self, controller: Any, name: str) -> None:
-        self._controller, self._name = controller, name
+    def __init__(self, controller: Any, name: str, memory: int) -> None:
+        self._controller, self._name, self._memory = controller, name, memory
         self._solve, self._staged = controller.prepared, controller.staged
         self._stages = self._staged.transcription.stages
         self._phase = PhaseCode(self._staged.transcription, self._window)
@@ -66,9 +69,9 @@ class ControllerCode:
         counts["parameters"] = stages.parameters
         return counts
 
-    def _counts(self) -> dict[str, int]:
+    def _counts(self, window: int) -> dict[str, int]:
         sizes, transcription = self._sizes, self._staged.transcription
-        work, scratch = transcription.phase_doubles(self._window)
+        work, scratch = transcription.phase_doubles(window)
         of_step = sizes["points"] + sizes["variables"] + sizes["rows"] + sizes["defects"] + sizes["equalities"]
         return {
             "data": max(1, len(self._controller.numbers)),
@@ -79,14 +82,25 @@ class ControllerCode:
 
     @functools.cached_property
     def _window(self) -> int:
-        """How many intervals are evaluated together: as many as the memory of the linear system has room for."""
+        """How many intervals are evaluated together: all where the controller may take the memory, which is faster,
+        else as many as the memory of the linear system has room for.
+        """
         window, phase = LANES, self._staged.transcription
-        while window < phase.phases[0].intervals:
+        intervals = phase.phases[0].intervals
+        if 8 * self._doubles(intervals) <= self._memory:
+            return int(intervals)
+        while window < intervals:
             scratch = phase.phase_doubles(window + LANES)[1]
             if self._workspace(scratch) > self._workspace(0):
                 break
             window += LANES
         return window
+
+    def _doubles(self, window: int) -> int:
+        """Numbers of a controller."""
+        per_name = {"points": 1, "variables": 5, "rows": 2, "defects": 1, "equalities": 1, "parameters": 0}
+        of_sizes = sum(per_name[name] * count for name, count in self._sizes.items())
+        return of_sizes + sum(self._counts(window).values())
 
     def _workspace(self, scratch: int) -> int:
         return self._solve.workspace_doubles(**self._layout, scratch=scratch)
@@ -102,20 +116,18 @@ class ControllerCode:
         }
 
     def _header(self) -> dict[str, Any]:
-        sizes, counts = self._sizes, self._counts()
+        sizes = self._sizes
         sizes.pop("parameters")
-        per_name = {"points": 1, "variables": 5, "rows": 2, "defects": 1, "equalities": 1}
-        doubles = sum(per_name[name] * count for name, count in sizes.items()) + sum(counts.values())
         listed = lambda pairs: ", ".join(f"{name} {shape}" for name, shape in pairs) or "none"  # noqa: E731
         dynamics = self._controller.part.dynamics
         options = self._solve.options
         return {
             **sizes,
-            **counts,
+            **self._counts(self._window),
             "states": listed((state.name, state.shape) for state in dynamics.states),
             "controls": listed((name, shape) for name, (_, shape) in self._controls.items()),
             "parameters": listed((name, np.shape(values)) for name, (values, _) in self._params.items()),
-            "bytes": 8 * doubles,
+            "bytes": 8 * self._doubles(self._window),
             "library": "log, log10, pow, sqrt, and those that the problem's functions call",
             "iterations": int(options.iterations),
             "restoration": int(options.restoration_iterations),
@@ -172,6 +184,17 @@ class ControllerCode:
 
     # ---- the source -------------------------------------------------------------------------------------------------
 
+    def _core(self) -> str:
+        phase, stages = self._staged.transcription.phases[0], self._stages
+        return controller_core(
+            states=phase.n,
+            controls=phase.m,
+            parameters=stages.parameters,
+            inequalities=sum(stages.inequalities),
+            equalities=sum(stages.equalities),
+            stages=len(phase.method.b),
+        )
+
     def _source(self) -> dict[str, Any]:
         sizes, solve, staged = self._sizes, self._solve, self._staged
         phase, point = staged.transcription.phases[0], staged.parts[0].point
@@ -189,7 +212,7 @@ class ControllerCode:
         texts += [f"#define {name} NULL\n" for name in ("unit_rows", "unit_equalities") if name in empty]
         return {
             **sizes,
-            "core": controller_core(),
+            "core": self._core(),
             "constants": "\n".join([self._phase.text, *texts]),
             "options": ", ".join(_REAL.literal(getattr(solve.options, name)) for name, _ in solve.options._fields_),
             "states": phase.n,
@@ -325,12 +348,19 @@ def _c(name: str) -> str:
 
 @watching("export")
 def write_controller(
-    controller: Any, directory: str | Path, *, name: str, states: Sequence[Mapping[str, Any]] | None, tolerance: float
+    controller: Any,
+    directory: str | Path,
+    *,
+    name: str,
+    states: Sequence[Mapping[str, Any]] | None,
+    tolerance: float,
+    memory: int,
 ) -> CFiles:
     """Implements `Controller.to_c`, which documents the arguments."""
     check_name(name)
+    whole("memory", memory, 0)
     number("tolerance", tolerance, "a finite number that is not negative", lambda size: 0.0 <= size < np.inf)
-    folder, code = path_of("directory", directory), ControllerCode(controller, name)
+    folder, code = path_of("directory", directory), ControllerCode(controller, name, memory)
     files, texts = code.files(folder, drawn_states(controller) if states is None else states, tolerance)
     write_files(folder, texts)
     return files
