@@ -77,9 +77,9 @@ class Module:
         if not self.groups:
             return self._joined([*self.tables.values(), *declarations, *pieces, *self.functions.values()])
         called = [declaration for declaration, _ in self.pieces.values()]
-        whole = self._joined([*self.tables.values(), *declarations, *called, *self.functions.values()])
+        main = self._joined([*self.tables.values(), *declarations, *called, *self.functions.values()])
         groups = ([self.pieces[name][1] for name in names] for names in self.groups)
-        return APART.join([whole, *(self._joined([*self._helpers(g), *declarations, *g]) for g in groups)])
+        return APART.join([main, *(self._joined([*self._helpers(g), *declarations, *g]) for g in groups)])
 
     @property
     def groups(self) -> list[list[str]]:

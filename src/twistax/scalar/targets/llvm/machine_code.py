@@ -227,8 +227,8 @@ def load(
             llvm.add_symbol(symbol, address)
         engines: list[Any] = []
         try:
-            first, *apart = _objects(code)
-            for part, functions in zip([*apart, first], [*groups, ()], strict=True):
+            main, *called = _objects(code)
+            for part, functions in zip([*called, main], [*groups, ()], strict=True):
                 # An engine for each: LLVM reads constants of one object by the table of offsets of another one.
                 engines.append(llvm.create_mcjit_compiler(llvm.parse_assembly(""), _target_machine(processor, LEVEL)))
                 engines[-1].add_object_file(llvm.ObjectFileRef.from_data(part))
