@@ -47,6 +47,19 @@ def test_pieces_give_what_the_whole_gives(processor: Processor, dtype: Any, monk
             np.testing.assert_allclose(own, whole, rtol=0.0, atol=near)
 
 
+def test_llvm_has_a_few_pieces_in_memory_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    import llvmlite.binding as llvm
+
+    parse, lengths = llvm.parse_assembly, list[int]()
+    monkeypatch.setattr(kernel_body, "LONG", 9)
+    monkeypatch.setattr(pieces, "_LENGTH", 9)
+    monkeypatch.setattr(llvm, "parse_assembly", lambda text, *more: (lengths.append(len(text)), parse(text, *more))[1])
+    shapes = [jax.ShapeDtypeStruct((7,), np.float64), jax.ShapeDtypeStruct((7,), np.int32)]
+    HostKernel(Straight(native_form(scalarize(mixed, *shapes)), 1), Processor.host())
+    assert len(lengths) > 6
+    assert max(lengths) < 0.5 * sum(lengths)
+
+
 def test_other_functions_are_scheduled_after_a_long_one(monkeypatch: pytest.MonkeyPatch) -> None:
     import llvmlite.binding as llvm
 

@@ -61,17 +61,24 @@ static int32_t qp_change_active(twx_qp_work *w) {
   return changes;
 }
 
-/* From x and z in `trial` and the guess in `active`. 1 where that becomes a solution, which `point` then is. */
+/* From x and z in `trial` and the guess in `active`. 1 where that becomes a solution, which `point` then is.
+ *
+ * Where the set is right and its equations are not solved, the cost has less curvature along the rows than rounding makes
+ * of their weights: more softness makes the weights smaller.
+ */
 int32_t twx_qp_active_set(twx_qp_work *w, int32_t changes) {
-  for (int32_t change = 0; change <= changes; change++) {
-    if (!qp_solve_with_active(w)) return 0;
+  const double softness = w->softness, largest = w->options->softness_largest;
+  for (int32_t change = 0; change <= changes && qp_solve_with_active(w); change++) {
     if (w->trial.error <= w->options->tolerance) {
       const twx_qp_point solution = w->trial;
       w->trial = w->point, w->point = solution;
       return 1;
     }
-    if (!qp_change_active(w)) return 0;
-    w->statistics->changes++;
+    const int32_t changed = qp_change_active(w);
+    if (!changed && !(w->softness < largest)) break;
+    if (changed) w->statistics->changes++;
+    else w->softness = largest;
   }
+  w->softness = softness;
   return 0;
 }

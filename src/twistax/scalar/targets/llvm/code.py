@@ -14,7 +14,7 @@ import numpy as np
 
 from ...primitives.table_load import Table
 from .elementary import exponential, exponential_less_one, hyperbolic_tangent, in_precision
-from .machine_code import Processor
+from .machine_code import APART, Processor
 
 
 class NotNative(Exception):
@@ -34,6 +34,10 @@ NAMES: dict[np.dtype[Any], str] = {
 _SUFFIXES = {"double": "f64", "float": "f32"}
 
 
+#: Pieces that are compiled together. Each group has memory of its own, and a process has only so many maps of memory.
+_TOGETHER = 8
+
+
 class Module:
     """What is compiled together: functions and what they declare."""
 
@@ -41,6 +45,8 @@ class Module:
         self.processor = processor
         self.declarations: set[str] = set()
         self.functions: dict[str, str] = {}
+        #: Functions that the others call and that call none of them but helpers, by name: declarations, and texts.
+        self.pieces: dict[str, tuple[str, str]] = {}
         #: Whether arrays are stored by columns: the first entries of all rows, then the second ones.
         self.by_columns = False
         #: Tables of numbers, by name.
@@ -66,13 +72,38 @@ class Module:
         return name
 
     def text(self) -> str:
+        """The text for `compiled`; groups of pieces stand apart, so that LLVM has one of them in memory at a time."""
+        declarations, pieces = sorted(self.declarations), [text for _, text in self.pieces.values()]
+        if not self.groups:
+            return self._joined([*self.tables.values(), *declarations, *pieces, *self.functions.values()])
+        called = [declaration for declaration, _ in self.pieces.values()]
+        main = self._joined([*self.tables.values(), *declarations, *called, *self.functions.values()])
+        groups = ([self.pieces[name][1] for name in names] for names in self.groups)
+        return APART.join([main, *(self._joined([*self._helpers(g), *declarations, *g]) for g in groups)])
+
+    @property
+    def groups(self) -> list[list[str]]:
+        """The names of pieces that are compiled together; none where one function of all is made."""
+        names = [] if self.processor.triple else list(self.pieces)
+        return [names[k : k + _TOGETHER] for k in range(0, len(names), _TOGETHER)]
+
+    def _helpers(self, texts: Sequence[str]) -> list[str]:
+        """The tables and functions that texts name, and those that these name."""
+        known = self.tables | {f"@{name}": helper for name, helper in self.functions.items()}
+        helpers: list[str] = []
+        for part in itertools.chain(texts, helpers):
+            named = [name for name in known if re.search(re.escape(name) + r"\b(?!\.)", part)]
+            helpers += [known.pop(name) for name in named]
+        return helpers
+
+    def _joined(self, texts: Sequence[str]) -> str:
         bits = min(self.processor.bits, self.packed or self.processor.bits)
         vectors = (
             f' "prefer-vector-width"="{bits}" "min-legal-vector-width"="{bits}"' if not self.processor.triple else ""
         )
         attributes = [f'attributes #0 = {{ noinline nounwind "no-builtins"{vectors} }}']
         attributes.append('!0 = !{!"branch_weights", i32 1, i32 2000}')
-        return "\n".join([*self.tables.values(), *sorted(self.declarations), *self.functions.values(), *attributes, ""])
+        return "\n".join([*texts, *attributes, ""])
 
 
 class Code:

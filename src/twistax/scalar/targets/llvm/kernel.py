@@ -62,7 +62,7 @@ class HostCodeHandle:
         self._unchecked = None
         if written is None:
             written = self._unchecked = compiled(text, module.processor, module.long, bool(module.packed))
-        self.code = load(written, module.library, module.processor, names, module.addresses)
+        self.code = load(written, module.library, module.processor, names, module.addresses, module.groups)
 
     @property
     def checked(self) -> bool:

@@ -267,8 +267,9 @@ class Straight(KernelBody):
                 values_of_block = [scalars.value(outputs[k][entry]) for entry in blocks[k, start]]
                 inner[f"r{k}"].write_block(start, values_of_block)
             values.keep(nodes)
-            head = f"ptr noalias %scratch, i64 %last{self._heads('ptr noalias')}"
-            module.functions[f"piece.{number}"] = piece.function(f"internal void @piece.{number}({head})")
+            head = f"void @piece.{number}(ptr noalias %scratch, i64 %last{self._heads('ptr noalias')})"
+            linkage = "internal " if module.processor.triple else ""
+            module.pieces[f"piece.{number}"] = f"declare {head}", piece.function(linkage + head)
             code.lines.append(f"call void @piece.{number}(ptr {memory}, i64 %last{self._heads('ptr')})")
         scratch.freed(code, memory)
 

@@ -7,8 +7,9 @@ import ctypes
 import ctypes.util
 import dataclasses
 import importlib.util
+import struct
 import threading
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
@@ -88,12 +89,20 @@ class MachineCode:
         addresses: of functions and variables, by name.
     """
 
-    def __init__(self, engine: Any, names: Collection[str]) -> None:
-        self._engine = engine
-        self.addresses: dict[str, int] = {
-            name: engine.get_function_address(name) or engine.get_global_value_address(name) for name in names
-        }
+    def __init__(self, engines: Sequence[Any], names: Collection[str]) -> None:
+        self._engines = engines
+        self.addresses: dict[str, int] = _addresses(engines[-1], names)
 
+
+def _addresses(engine: Any, names: Collection[str]) -> dict[str, int]:
+    return {name: engine.get_function_address(name) or engine.get_global_value_address(name) for name in names}
+
+
+#: The line between texts that are compiled one by one, with one of them in memory at a time.
+APART = "\n; ---- compiled apart ----\n"
+
+#: The length of an object file, before its content.
+_LENGTH = struct.Struct("<q")
 
 #: In the code model of LLVM's JIT code and constants may lie anywhere. The small one wants them within 2 GB of each
 #: other, and LLVM ends the process where they are not: in one that has run for long free memory is farther apart.
@@ -117,37 +126,54 @@ def written_by(processor: Processor) -> str:
         processor.features,
         sorted(_OPTIONS.items()),
         LEVEL,
+        _LENGTH.format,
     )
     return repr(facts)
 
 
 def compiled(text: str, processor: Processor, long: bool = False, packed: bool = False) -> bytes:
-    """The machine code of intermediate language, as the content of an object file.
+    """The machine code of intermediate language, as the content of object files, each after its length.
 
     Args:
+        text: texts that `APART` divides are compiled one by one. They declare what they call of each other.
         long: the functions are long and straight: LLVM optimises less, and leaves instructions in their order.
         packed: have it put like operations on scalars into vectors (S. Larsen and S. Amarasinghe 2000): as long again.
     Raises:
         ImportError: llvmlite is not installed.
         BuildError: LLVM refuses the text.
     """
-    import llvmlite.binding as llvm
-
     with watched("compile"), _LOCK, _in_order() if long else contextlib.nullcontext():
         machine = _target_machine(processor, min(LEVEL, 1) if long else LEVEL)
         try:
-            # A separate context: everything that it stores, each number of a text, is freed with it.
-            parsed = llvm.parse_assembly(text, llvm.create_context())
-            parsed.verify()
-            if packed:
-                tuning = llvm.create_pipeline_tuning_options(speed_level=2)
-                tuning.slp_vectorization = True
-                passes = llvm.create_pass_builder(machine, tuning)
-                passes.getModulePassManager().run(parsed, passes)
-            code: bytes = machine.emit_object(parsed)
+            objects = [_compiled(part, machine, packed) for part in _divided(text)]
         except RuntimeError as error:
             raise BuildError(f"LLVM rejects it: {error}") from error
-        return code
+        return b"".join(_LENGTH.pack(len(code)) + code for code in objects)
+
+
+def _divided(text: str) -> Iterator[str]:
+    """The texts between `APART`, without a copy of all."""
+    start = 0
+    while (end := text.find(APART, start)) >= 0:
+        yield text[start:end]
+        start = end + len(APART)
+    yield text[start:]
+
+
+def _compiled(text: str, machine: Any, packed: bool) -> bytes:
+    """The content of an object file."""
+    import llvmlite.binding as llvm
+
+    # A separate context: everything that it stores, each number of a text, is freed with it.
+    parsed = llvm.parse_assembly(text, llvm.create_context())
+    parsed.verify()
+    if packed:
+        tuning = llvm.create_pipeline_tuning_options(speed_level=2)
+        tuning.slp_vectorization = True
+        passes = llvm.create_pass_builder(machine, tuning)
+        passes.getModulePassManager().run(parsed, passes)
+    code: bytes = machine.emit_object(parsed)
+    return code
 
 
 #: The versions of LLVM with the option below. Other versions would end the process.
@@ -179,12 +205,14 @@ def load(
     processor: Processor,
     names: Collection[str],
     addresses: Mapping[str, int] = MappingProxyType({}),
+    groups: Sequence[Sequence[str]] = (),
 ) -> MachineCode:
     """The functions and variables of these names.
 
     Args:
         library: the functions of the C library that are called.
         addresses: of functions of other code that are called.
+        groups: the names of the functions of each text after the first one, which calls them.
 
     Raises:
         ImportError: llvmlite is not installed.
@@ -193,18 +221,31 @@ def load(
     import llvmlite.binding as llvm
 
     with _LOCK:
-        machine = _target_machine(processor, LEVEL)
         for symbol in sorted(library):
             llvm.add_symbol(symbol, _address(symbol))
         for symbol, address in addresses.items():
             llvm.add_symbol(symbol, address)
+        engines: list[Any] = []
         try:
-            engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
-            engine.add_object_file(llvm.ObjectFileRef.from_data(code))
-            engine.finalize_object()
+            main, *called = _objects(code)
+            for part, functions in zip([*called, main], [*groups, ()], strict=True):
+                # An engine for each: LLVM reads constants of one object by the table of offsets of another one.
+                engines.append(llvm.create_mcjit_compiler(llvm.parse_assembly(""), _target_machine(processor, LEVEL)))
+                engines[-1].add_object_file(llvm.ObjectFileRef.from_data(part))
+                engines[-1].finalize_object()
+                for symbol, address in _addresses(engines[-1], functions).items():
+                    llvm.add_symbol(symbol, address)
         except RuntimeError as error:
             raise BuildError(f"LLVM rejects it: {error}") from error
-        return MachineCode(engine, names)
+        return MachineCode(engines, names)
+
+
+def _objects(code: bytes) -> Iterator[bytes]:
+    start = 0
+    while start < len(code):
+        first = start + _LENGTH.size
+        start = first + _LENGTH.unpack_from(code, start)[0]
+        yield code[first:start]
 
 
 def _target_machine(processor: Processor, level: int) -> Any:
