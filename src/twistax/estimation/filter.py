@@ -121,7 +121,7 @@ class Filter(ABC):
     @functools.cached_property
     def _propagated(self) -> Callable[[OperatingPoint, jax.Array, jax.Array], Prediction]:
         """`propagated` as one kernel where it can be."""
-        if not (self.in_scalars and self.model.noise.in_scalars):
+        if not self.in_scalars:
             return self.propagated
         return KernelFunction(self.in_arrays.propagated, self.model.dynamics.backend)
 

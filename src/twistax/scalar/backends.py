@@ -131,6 +131,10 @@ class Backend(ABC):
         """The backend for functions inside the loop of an integrator."""
         return self
 
+    def of_any_width(self) -> Backend:
+        """The backend without a bound of the entries of arrays."""
+        return self
+
     def steps(self) -> StepCompiler:
         """The compiler of steps of loops."""
         return StepCompiler()
