@@ -131,8 +131,8 @@ class Backend(ABC):
         """The backend for functions inside the loop of an integrator."""
         return self
 
-    def of_any_width(self) -> Backend:
-        """The backend without a bound of the entries of arrays."""
+    def of_any_size(self) -> Backend:
+        """The backend that makes kernels of functions with few operations, and with wide arrays, too."""
         return self
 
     def steps(self) -> StepCompiler:

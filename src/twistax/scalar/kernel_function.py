@@ -71,7 +71,7 @@ class KernelFunction(Generic[R]):
             closed = jax.make_jaxpr(flat)(*(jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) for leaf in leaves))
         # Loops without a known end are kernels of their own, between those of the rest.
         if any(eqn.primitive.name == "while" for eqn in all_equations(closed.jaxpr)):
-            return _Unrolled(closed, self._backend.of_any_width()), forms[-1]
+            return _Unrolled(closed, self._backend.of_any_size()), forms[-1]
         return KernelOfArrays(closed, self._kernels, alone=True), forms[-1]
 
     def _kernels(self, closed: ClosedJaxpr) -> Kernels | None:
