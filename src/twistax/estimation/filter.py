@@ -121,18 +121,26 @@ class Filter(ABC):
     @functools.cached_property
     def _propagated(self) -> Callable[[OperatingPoint, jax.Array, jax.Array], Prediction]:
         """`propagated` as one kernel where it can be."""
-        if not (self.in_scalars and self.model.noise.in_scalars):
+        if not self.in_scalars:
             return self.propagated
         return KernelFunction(self.in_arrays.propagated, self.model.dynamics.backend)
 
     @functools.cached_property
     def _corrected(self) -> Mapping[str, Callable[[OperatingPoint, jax.Array, jax.Array], Update]]:
-        """`corrected` of each measurement, as one kernel where it can be."""
+        """`corrected` of each measurement, where z has no NaN, as one kernel where it can be."""
 
         def correction(name: str) -> Callable[[OperatingPoint, jax.Array, jax.Array], Update]:
             of = self.in_arrays if self.in_scalars else self
-            function = lambda point, P, z: of.corrected(name, point, P, z, self.limits[name])  # noqa: E731
-            return KernelFunction(function, self.model.dynamics.backend) if self.in_scalars else function
+
+            def corrected(point: OperatingPoint, P: jax.Array, z: jax.Array) -> Update:
+                known = jnp.isfinite(z).all()
+                safe = jnp.where(known, z, self.model.measurements[name].group.identity(z.dtype))
+                update = of.corrected(name, point, P, safe, self.limits[name])
+                skipped = jax.tree.map(jnp.zeros_like, update)._replace(x=point.x, P=P)
+                # Selected, not branched: so a batch of filters is one kernel.
+                return jax.tree.map(lambda a, b: jnp.where(known, a, b), update, skipped)
+
+            return KernelFunction(corrected, self.model.dynamics.backend) if self.in_scalars else corrected
 
         return {name: correction(name) for name in self.limits}
 
@@ -343,13 +351,7 @@ class Filter(ABC):
     @functools.cached_property
     def _jitted_update(self) -> Callable[..., Update]:
         def update(name: str, point: OperatingPoint, P: jax.Array, z: jax.Array) -> Update:
-            known = jnp.isfinite(z).all()
-            safe = jnp.where(known, z, self.model.measurements[name].group.identity(z.dtype))
-            # Selected, not branched: so a batch of filters can be one kernel.
-            factor = self.factored(P)
-            update = self._corrected[name](point, factor, safe)
-            skipped = jax.tree.map(jnp.zeros_like, update)._replace(x=point.x, P=factor)
-            update = jax.tree.map(lambda a, b: jnp.where(known, a, b), update, skipped)
+            update = self._corrected[name](point, self.factored(P), z)
             return update._replace(P=self.multiplied(update.P))
 
         return jax.jit(update, static_argnums=0)

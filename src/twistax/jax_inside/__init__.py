@@ -7,7 +7,7 @@ Checked with JAX 0.10, 0.11 and 0.12.
 from jax.experimental import jet
 from jax.extend.backend import backends
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, Primitive, jaxpr_as_fun
-from jax.interpreters import ad, batching, mlir
+from jax.interpreters import ad, batching, mlir, partial_eval
 
 from .meshes import is_shared_out, on_axes, shared_out
 from .tracing import (
@@ -43,6 +43,7 @@ from .tracing import (
     spread,
     varying_alike,
     weakly_kept,
+    with_results,
     wrapped_terms,
     xla_metadata,
 )

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import jaxlib
 from jax.extend.backend import backends
 from jax.extend.core import ClosedJaxpr, Jaxpr, Primitive, jaxpr_as_fun
+from jax.interpreters import partial_eval
 
 T = TypeVar("T")
 
@@ -114,6 +115,12 @@ def part(
         constvars=list(constants), invars=list(inputs), outvars=list(outputs), eqns=list(eqns), debug_info=debug
     )
     return ClosedJaxpr(piece, list(constants.values()))
+
+
+def with_results(program: ClosedJaxpr, used: Sequence[bool]) -> ClosedJaxpr:
+    """The jaxpr, of the same arguments, that computes only the results that are used."""
+    jaxpr, kept, _ = partial_eval.dce_jaxpr_consts(program.jaxpr, used, instantiate=True)
+    return ClosedJaxpr(jaxpr, [c for c, keep in zip(program.consts, kept, strict=True) if keep])
 
 
 def opened(program: ClosedJaxpr) -> tuple[Callable[..., list[Any]], list[Any]]:

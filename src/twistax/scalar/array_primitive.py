@@ -10,7 +10,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..jax_inside import ClosedJaxpr, Primitive, jaxpr_as_fun, of_one_device, spread, weakly_kept
+from ..jax_inside import (
+    ClosedJaxpr,
+    Primitive,
+    jaxpr_as_fun,
+    of_one_device,
+    partial_eval,
+    spread,
+    weakly_kept,
+    with_results,
+)
 from .jax_primitive import Differentiable, Shapes, call_program, differentiable
 from .program import Rows
 
@@ -28,6 +37,7 @@ class ArrayProgram(Differentiable):
     def __init__(self, program: ClosedJaxpr) -> None:
         super().__init__()
         self.program = program
+        self._parts: dict[tuple[bool, ...], ArrayProgram] = {}
 
     @property
     def results(self) -> Shapes:
@@ -52,6 +62,12 @@ class ArrayProgram(Differentiable):
     def made(self, program: ClosedJaxpr) -> ArrayProgram:
         """A derived function of the same class."""
         return ArrayProgram(program)
+
+    def with_results(self, used: tuple[bool, ...]) -> ArrayProgram:
+        """The function that computes only the results that are used, of the same arguments."""
+        if used not in self._parts:
+            self._parts[used] = self.made(with_results(self.program, used))
+        return self._parts[used]
 
     def _tangent(self, active: tuple[int, ...]) -> ArrayProgram:
         def tangent(arguments: list[Any], tangents: list[Any]) -> list[Any]:
@@ -136,6 +152,22 @@ _array_program_p = Primitive("whole_function")
 _batched_p = Primitive("batched_function")
 for _primitive in (_array_program_p, _batched_p):
     differentiable(_primitive)
+
+
+def _dead_code(used: Sequence[bool], eqn: Any) -> tuple[list[bool], Any]:
+    """JAX's rule for results that nothing reads: kernels do not compute them."""
+    if not any(used):
+        return [False] * len(eqn.invars), None
+    if not all(used):
+        program = eqn.params["program"].with_results(tuple(used))
+        eqn = eqn.replace(
+            outvars=[v for v, use in zip(eqn.outvars, used, strict=True) if use],
+            params={**eqn.params, "program": program},
+        )
+    return [True] * len(eqn.invars), eqn
+
+
+partial_eval.dce_rules[_batched_p] = _dead_code
 
 
 def is_array_program(eqn: Any) -> bool:

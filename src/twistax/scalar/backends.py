@@ -131,6 +131,10 @@ class Backend(ABC):
         """The backend for functions inside the loop of an integrator."""
         return self
 
+    def of_any_size(self) -> Backend:
+        """The backend that makes kernels of functions with few operations, and with wide arrays, too."""
+        return self
+
     def steps(self) -> StepCompiler:
         """The compiler of steps of loops."""
         return StepCompiler()

@@ -2,18 +2,34 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any, Generic, TypeVar
 
 import jax
 import jax.numpy as jnp
 
-from ..jax_inside import ClosedJaxpr, jaxpr_as_fun, of_one_device
-from .array_primitive import KernelOfArrays, Kernels
+from ..jax_inside import ClosedJaxpr, all_equations, jaxpr_as_fun, of_one_device, weakly_kept
+from .array_primitive import ArrayProgram, KernelOfArrays, Kernels
 from .backends import Backend
 from .jax_primitive import call_program
+from .parts.inlining import unrolled
+from .parts.part import Reason
+from .parts.segments import Segmented, emit_segments
 
 R = TypeVar("R")
+
+
+@weakly_kept
+class _Unrolled(Segmented):
+    """A function that runs in parts, of which only long loops are some."""
+
+    @functools.cached_property
+    def parts(self) -> tuple[Callable[..., list[jax.Array]], list[Reason]]:
+        return emit_segments(unrolled(self.program), self.backend)
+
+    def made(self, program: ClosedJaxpr) -> _Unrolled:
+        return _Unrolled(program, self.backend)
 
 
 class KernelFunction(Generic[R]):
@@ -29,7 +45,7 @@ class KernelFunction(Generic[R]):
 
     def __init__(self, function: Callable[..., R], backend: Backend) -> None:
         self._function, self._backend = function, backend
-        self._programs: dict[Any, tuple[KernelOfArrays, Any]] = {}
+        self._programs: dict[Any, tuple[ArrayProgram, Any]] = {}
 
     def __call__(self, *arguments: Any) -> R:
         if self._backend.runner is None:
@@ -43,7 +59,7 @@ class KernelFunction(Generic[R]):
         result: R = jax.tree.unflatten(form, call_program(program, *leaves))
         return result
 
-    def _traced(self, structure: Any, leaves: list[jax.Array]) -> tuple[KernelOfArrays, Any]:
+    def _traced(self, structure: Any, leaves: list[jax.Array]) -> tuple[ArrayProgram, Any]:
         forms: list[Any] = []
 
         def flat(*leaves: jax.Array) -> list[jax.Array]:
@@ -53,6 +69,9 @@ class KernelFunction(Generic[R]):
 
         with of_one_device():
             closed = jax.make_jaxpr(flat)(*(jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) for leaf in leaves))
+        # Loops without a known end are kernels of their own, between those of the rest.
+        if any(eqn.primitive.name == "while" for eqn in all_equations(closed.jaxpr)):
+            return _Unrolled(closed, self._backend.of_any_size()), forms[-1]
         return KernelOfArrays(closed, self._kernels, alone=True), forms[-1]
 
     def _kernels(self, closed: ClosedJaxpr) -> Kernels | None:

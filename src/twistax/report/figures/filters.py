@@ -5,7 +5,6 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -14,7 +13,7 @@ import twistax as tx
 from ...estimation import ErrorStateKalman, Trapezoidal
 from ..harness.expected import at_most, needed
 from ..harness.measurement import Section, slow
-from ..harness.timing import Race, Timed
+from ..harness.timing import Race, Timed, batch
 from .steps import C_ARRAY, c_loop
 
 SOURCE = Path(__file__).with_name("ins15.c")
@@ -98,7 +97,7 @@ def in_batches(count: int = 1000, alone: int = 100) -> dict[str, Timed]:
         post = kalman.update("gps", 0.1, prior.x, prior.P, z)
         return post.x, post.P
 
-    many, z = jax.jit(jax.vmap(step)), np.array([0.3, -0.1, 0.2])
+    z = np.array([0.3, -0.1, 0.2])
     x, P = {"p": jnp.zeros((count, 3)), "v": jnp.zeros((count, 3))}, jnp.tile(jnp.eye(6), (count, 1, 1))
     measured = jnp.tile(jnp.asarray(z), (count, 1))
     peer.F, peer.H, peer.R = np.eye(6) + 0.1 * np.eye(6, k=3), np.eye(3, 6), _GPS**2 * np.eye(3)
@@ -112,7 +111,7 @@ def in_batches(count: int = 1000, alone: int = 100) -> dict[str, Timed]:
             peer.update(z[:, None])
         return np.concatenate([peer.x.ravel(), peer.P.ravel()])
 
-    return {"batch": Timed(lambda: many(x, P, measured), count), "filterpy": Timed(theirs, alone)}
+    return {"batch": batch(step, x, P, measured), "filterpy": Timed(theirs, alone)}
 
 
 def _first(result: Any) -> Any:

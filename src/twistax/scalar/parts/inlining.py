@@ -8,11 +8,14 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from ...jax_inside import ClosedJaxpr, Literal, alone, closed, expansion, jaxpr_as_fun
+from ...jax_inside import ClosedJaxpr, Literal, alone, closed, expansion, jaxpr_as_fun, scan_parts
 from ..array_primitive import written_out
 
 #: Calls that are inlined once derivatives are taken.
 _CALLS = {"jit": "jaxpr", "remat2": "jaxpr", "custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr"}
+
+#: The most iterations that `unrolled` writes out: methods have at most so many stages.
+_SHORT = 16
 
 
 def inlined(program: ClosedJaxpr) -> ClosedJaxpr:
@@ -24,16 +27,37 @@ def inlined(program: ClosedJaxpr) -> ClosedJaxpr:
     return jax.make_jaxpr(functools.partial(_evaluate, program))(*shapes)
 
 
-def _evaluate(program: ClosedJaxpr, *arguments: Any) -> list[Any]:
+def unrolled(program: ClosedJaxpr) -> ClosedJaxpr:
+    """The same function with its short loops written out too, such as those over the stages of a method."""
+    avals: list[Any] = [v.aval for v in program.jaxpr.invars]
+    shapes = (jax.ShapeDtypeStruct(a.shape, a.dtype) for a in avals)
+    return jax.make_jaxpr(functools.partial(_evaluate, program, unroll=True))(*shapes)
+
+
+def _iterated(eqn: Any, values: list[Any]) -> list[Any]:
+    """The results of a scan, iteration by iteration."""
+    fixed, carried = scan_parts(eqn)
+    length, body = eqn.params["length"], closed(eqn.params["jaxpr"])
+    state, rows = values[fixed : fixed + carried], [None] * length
+    for k in reversed(range(length)) if eqn.params["reverse"] else range(length):
+        at = [a[k] for a in values[fixed + carried :]]
+        results = _evaluate(body, *values[:fixed], *state, *at, unroll=True)
+        state, rows[k] = results[:carried], results[carried:]
+    return [*state, *(jnp.stack(column) for column in zip(*rows, strict=True))]
+
+
+def _evaluate(program: ClosedJaxpr, *arguments: Any, unroll: bool = False) -> list[Any]:
     jaxpr = program.jaxpr
     values = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*program.consts, *arguments], strict=True))
     for eqn in jaxpr.eqns:
         inside, operands = _called(eqn)
-        if inside is None:
+        if unroll and eqn.primitive.name == "scan" and 0 < eqn.params["length"] <= _SHORT:
+            outputs = _iterated(eqn, [value_of(v, values) for v in operands])
+        elif inside is None:
             variables = list(dict.fromkeys(v for v in eqn.invars if not isinstance(v, Literal)))
             outputs = jaxpr_as_fun(alone(jaxpr, eqn, variables))(*(values[v] for v in variables))
         else:
-            outputs = _evaluate(inside, *(value_of(v, values) for v in operands))
+            outputs = _evaluate(inside, *(value_of(v, values) for v in operands), unroll=unroll)
         values.update(zip(eqn.outvars, outputs, strict=True))
     results: list[Any] = jaxpr.outvars
     return [value_of(v, values) for v in results]

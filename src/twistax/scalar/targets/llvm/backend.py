@@ -286,6 +286,9 @@ class Native(Backend):
     def in_loops(self) -> Backend:
         return _InLoops(self.scalars, self.threads, self.least)
 
+    def of_any_size(self) -> Backend:
+        return dataclasses.replace(self, least=1, scalars=dataclasses.replace(self.scalars, least=1, widest=ANY_SIZE))
+
     def steps(self) -> StepCompiler:
         return StepKernels(self.scalars, self.runner)
 
