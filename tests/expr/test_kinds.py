@@ -238,3 +238,45 @@ def test_what_is_open_is_told() -> None:
     known = tx.compile(tx.System(rates={x: 2.0 * x, y: u}, outputs={"z": x + 0.5})).explain(kinds=True)
     assert known.open == ["y", "u", "rate of x", "rate of y"]
     assert str(known).endswith("nothing is known of: y, u, rate of x, rate of y")
+
+
+def craft() -> tx.System:
+    """A body in space, its wrench in its frame."""
+    M = np.diag([2.0, 2.0, 2.0, 1.0, 2.0, 3.0])
+    body = tx.Control("F", (6,), kind=tx.Wrench("body"))
+    rate = tx.linalg.Solve(M, body - tx.lie.AdjointDual(V, M @ V))
+    outputs = {"v": tx.lie.linear(V), "p": K.declare(g[:3, 3], tx.Point("world"))}
+    return tx.System(rates={g: V, V: rate}, outputs=outputs)
+
+
+@pytest.mark.parametrize("count", [1, 3, 4, 5, 6])
+def test_fleets_have_the_kinds_of_one_copy(count: int) -> None:
+    """What is connected to all copies, or to one of them, is checked as for one."""
+    fleet = tx.repeat(craft(), count)
+
+    def joined(kind: Any) -> tx.System:
+        return tx.join(fleet, connect={fleet.F: tx.Control("W", (count, 6), kind=kind)})
+
+    joined(tx.Wrench("body"))
+    for wrong in (tx.Wrench("world"), tx.Twist("body")):
+        with pytest.raises(tx.KindError, match=r"'W'|W takes|W is"):
+            joined(wrong)
+    along = tx.Control("along", (3,), kind=vector("world"))
+    tx.join(fleet, outputs={"right": fleet.output("p")[0] @ along})
+    with pytest.raises(tx.KindError, match="two frames meet"):
+        tx.join(fleet, outputs={"wrong": fleet.output("v")[0] @ along})
+
+
+def test_copies_under_other_names_keep_what_expressions_declare() -> None:
+    left = craft().renamed("left_")
+    along = tx.Control("along", (3,), kind=vector("body"))
+    with pytest.raises(tx.KindError, match="two frames meet"):
+        tx.join(left, outputs={"wrong": left.output("left_p") @ along})
+    assert "in 'world'" in str(tx.compile(left).explain(kinds=True)).split("left_p")[1]
+
+
+def test_a_map_with_other_batches_is_no_false_alarm() -> None:
+    """The body of one map, once over points in the world and once over points of the body."""
+    world, body = (tx.Parameter(name, (5, 3), kind=vector(name)) for name in ("world", "body"))
+    squares = tx.Vmap(lambda p: p @ p, world)
+    tx.System(rates={p: v, v: -1.0 * v}, outputs={"a": squares, "b": squares.with_children([body])})

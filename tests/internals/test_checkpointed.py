@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from twistax.integrators.loop.rollout import take_steps
+from twistax.integrators.loop.checkpointed import take_steps
 
 State = dict[str, jax.Array]
 

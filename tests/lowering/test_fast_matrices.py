@@ -95,3 +95,12 @@ def test_diagonals_and_traces_are_scalars() -> None:
     assert "native" in tx.fast(function).explain(a)
     np.testing.assert_allclose(tx.fast(function)(a), jax.jit(function)(a), rtol=1e-12)
     np.testing.assert_allclose(jax.jacrev(tx.fast(function))(a), jax.jacfwd(function)(a), atol=1e-11)
+
+
+def test_a_loop_whose_end_depends_on_its_values_stays_one_of_jax() -> None:
+    """It may not end for the arguments of a self-test."""
+
+    def squared(a: jax.Array) -> jax.Array:
+        return jax.lax.while_loop(lambda m: jnp.abs(m).max() < 1e3, lambda m: m @ m, a @ a)
+
+    assert "while, as JAX has it" in tx.fast(squared).explain(A)

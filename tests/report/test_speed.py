@@ -36,7 +36,7 @@ from twistax.report.speed.contenders import (
     values,
 )
 from twistax.report.speed.page import QUICK, measure
-from twistax.report.speed.peers import CASADI
+from twistax.report.speed.peers import CASADI, CASADI_LANES, in_c, in_lanes
 
 ORIGIN = Origin({"jax": "1"}, "abc", "a machine", {})
 SHORT = dataclasses.replace(QUICK, cases=("free-body",), largest=64, repeats=Repeats(2, 1, 1e-3))
@@ -227,6 +227,25 @@ def test_c_of_casadi_gives_what_the_matrices_give() -> None:
         assert relative_difference(values(task.batch(3)), expected, len(quantity.shape(case))) < 1e-13
         assert relative_difference(values(task.loop(5)), expected[0], len(quantity.shape(case))) < 1e-13
         assert relative_difference(values(task.single()), expected[0], len(quantity.shape(case))) < 1e-13
+
+
+def test_c_in_vectors_gives_what_the_matrices_give() -> None:
+    """Also where points are left for part of a vector, and by several threads."""
+    pytest.importorskip("casadi")
+    case = CASES["free-body"]
+    for quantity, contender in ((VALUE, in_c("", "", 8, 2)), (JACOBIAN, CASADI_LANES)):
+        task, expected = contender.task(case, quantity), values(PLAIN.task(case, quantity).batch(19))
+        for count in (1, 19):
+            results = values(task.batch(count))
+            assert relative_difference(results, expected[:count], len(quantity.shape(case))) < 1e-13
+        with pytest.raises(Lacks, match="8 points at a time"):
+            task.single().result()
+
+
+def test_numbers_of_c_become_vectors() -> None:
+    c = "a0=arg[1]? arg[1][2] : 0;\n a1=-1.5e-3;\n a2=(a0*2.);\n if (res[0]!=0) res[0][1]=a2;"
+    vectors = "a0=arg[1][2];\n a1=(casadi_real){}+-1.5e-3;\n a2=(a0*2.);\n if (res[0]!=0) res[0][1]=a2;"
+    assert in_lanes(c) == vectors
 
 
 def test_parts_of_a_result_are_joined_for_the_comparison_alone() -> None:

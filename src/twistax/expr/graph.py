@@ -35,6 +35,9 @@ class Node(Protocol):
 
 N = TypeVar("N", bound=Node)
 
+#: What a node says of itself besides its fields, for the check of a system.
+FACTS = ("_known_as", "_checked")
+
 #: So many nodes may be evaluated more than once.
 _ANEW = 20_000
 
@@ -70,10 +73,21 @@ def substitute(root: N, exchange: Mapping[str, N]) -> N:
     for node in postorder(root):
         children = node.children()
         if children:
-            done[id(node)] = node.with_children([done[id(child)] for child in children])
+            new = node.with_children([done[id(child)] for child in children])
+            done[id(node)] = new if new is node else _with_facts(new, node)
         else:
             done[id(node)] = exchange.get(node.key(), node)
     return done[id(root)]
+
+
+def _with_facts(new: N, old: Node) -> N:
+    """A node that says of itself what another one says besides its fields."""
+    facts = {name: old.__dict__[name] for name in FACTS if name in old.__dict__}
+    if not facts:
+        return new
+    same: N = object.__new__(type(new))
+    same.__dict__.update(new.__dict__ | facts)
+    return same
 
 
 def find_path(root: Node, target: Node) -> str:

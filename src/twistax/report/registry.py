@@ -15,6 +15,7 @@ from .figures import (
     scalars,
     small_matrices,
     steps,
+    vectors,
 )
 from .foreign import FOREIGN
 from .harness.measurement import Section
@@ -70,6 +71,7 @@ FIGURES: dict[str, Section] = {
     "filters": filters.FILTERS,
     "operations": scalars.OPERATIONS,
     "hessians": hessians.HESSIANS,
+    "vectors": vectors.VECTORS,
     "kernels": scalars.KERNELS,
     "small": small_matrices.SMALL,
     "larger": larger_matrices.LARGER,

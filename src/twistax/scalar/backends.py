@@ -20,7 +20,7 @@ from ..jax_inside import ClosedJaxpr, Jaxpr, Literal, all_equations, inner_jaxpr
 from .array_primitive import on_any_mesh
 from .graph import LIMITS, Limits, TooLarge
 from .jax_primitive import Derived, Differentiable, call_program
-from .loops import MakeKernel, Repeated, Ring
+from .loops import Looped, MakeKernel, Repeated, Ring
 from .primitives.table import entry_of
 from .program import ScalarProgram, called_names
 from .reader import emitted_form, scalarize
@@ -64,7 +64,7 @@ class Emission:
 class StepCompiler:
     """Compiles steps of loops, functions from arrays to arrays; this base class compiles none."""
 
-    def repeated(self, step: Step, shapes: Shapes, state: int, row: Step | None = None) -> Repeated | None:
+    def repeated(self, step: Step, shapes: Shapes, state: int, row: Step | None = None) -> Repeated | Looped | None:
         """A step that one kernel repeats; None: it runs in an ordinary loop.
 
         Args:
@@ -85,6 +85,14 @@ class StepCompiler:
 
     def differentiable(self, step: Step, shapes: Shapes) -> Differentiable | None:
         """A step as one program, for loops that are differentiated; None: it runs as it is."""
+        return None
+
+    def of_matrices(self, function: Step, shapes: Shapes, terminates: bool = False) -> Differentiable | None:
+        """A function of matrices whose entries are computed in loops of one kernel; None: it has no such form.
+
+        Args:
+            terminates: whether its `while` loops end for all arguments; else there is no such form of them.
+        """
         return None
 
     def shared(self, function: Step, shapes: Shapes) -> Derived | None:

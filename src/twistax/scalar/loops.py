@@ -146,6 +146,34 @@ def _row_of(program: ScalarProgram) -> Row:
     return lambda record, mark: function(*record, mark)[0]
 
 
+def repeating(step: Callable[..., Any], count: int, row: Row | None = None) -> Callable[..., list[jax.Array]]:
+    """The loop of `repeat` over a step whose last `count` arguments are the state, as a function of JAX."""
+
+    def loop(first: jax.Array, stop: jax.Array, *rest: jax.Array, rows: Filling | None = None) -> list[jax.Array]:
+        fixed, state = rest[: len(rest) - count], rest[len(rest) - count :]
+
+        def going(carried: tuple[jax.Array, jax.Array, Any]) -> jax.Array:
+            return carried[1] & (carried[0] < stop)
+
+        def iteration(carried: tuple[jax.Array, jax.Array, Any]) -> tuple[jax.Array, jax.Array, Any]:
+            k, _, (state, rows) = carried
+            results = step(k, *fixed, *state)
+            if row is not None:
+                record = results[count + 1 :]
+                rows = rows.up_to(record[0], row, record)
+            if len(results) > count:
+                return k + 1, results[count], (results[:count], rows)
+            good = jnp.stack([jnp.isfinite(a).all() for a in results]).all()
+            kept = [jnp.where(good, new, old) for new, old in zip(results, state, strict=True)]
+            return k + good.astype(k.dtype), good, (kept, rows)
+
+        start = (list(state), rows)
+        k, _, (final, rows) = jax.lax.while_loop(going, iteration, (first, jnp.asarray(True), start))
+        return [*final, k, *([] if rows is None else [rows.number, rows.table])]
+
+    return loop
+
+
 @weakly_kept
 class Repeated(_Rolled):
     """A repeated step, and rows that are filled on the way.
@@ -194,31 +222,8 @@ class Repeated(_Rolled):
     @functools.cached_property
     def function(self) -> Callable[..., list[jax.Array]]:
         """The loop as a function of JAX."""
-        step, count = as_function(self._step), self._state
         row = None if self.row is None else _row_of(self.row)
-
-        def loop(first: jax.Array, stop: jax.Array, *rest: jax.Array, rows: Filling | None = None) -> list[jax.Array]:
-            fixed, state = rest[: len(rest) - count], rest[len(rest) - count :]
-
-            def going(carried: tuple[jax.Array, jax.Array, Any]) -> jax.Array:
-                return carried[1] & (carried[0] < stop)
-
-            def iteration(carried: tuple[jax.Array, jax.Array, Any]) -> tuple[jax.Array, jax.Array, Any]:
-                k, _, (state, rows) = carried
-                results = step(k, *fixed, *state)
-                if row is not None:
-                    record = results[count + 1 :]
-                    rows = rows.up_to(record[0], row, record)
-                if len(results) > count:
-                    return k + 1, results[count], (results[:count], rows)
-                good = jnp.stack([jnp.isfinite(a).all() for a in results]).all()
-                kept = [jnp.where(good, new, old) for new, old in zip(results, state, strict=True)]
-                return k + good.astype(k.dtype), good, (kept, rows)
-
-            start = (list(state), rows)
-            k, _, (final, rows) = jax.lax.while_loop(going, iteration, (first, jnp.asarray(True), start))
-            return [*final, k, *([] if rows is None else [rows.number, rows.table])]
-
+        loop = repeating(as_function(self._step), self._state, row)
         if row is None:
             return loop
 
@@ -272,7 +277,7 @@ define(_repeat_p, by_kernel)
 
 
 def repeat(
-    step: Repeated,
+    step: Repeated | Looped,
     first: jax.Array,
     stop: jax.Array,
     fixed: Sequence[jax.Array],
@@ -285,6 +290,7 @@ def repeat(
     state before. Traceable, batched by vmap, not differentiable.
 
     Args:
+        step: `Looped` where all arrays are those of `repeating`.
         rows: for a step that returns records.
     Returns:
         The state, the number of the next iteration, and the rows.
@@ -292,6 +298,7 @@ def repeat(
     need_outside()
     arguments = [first, stop, *fixed, *state]
     if rows is not None:
+        assert isinstance(step, Repeated)
         step = step.of_length(len(rows.marks))
         arguments = [jnp.int32(len(rows.marks)), first, stop, rows.number, *fixed, *state, rows.marks, rows.table]
     results = _repeat_p.bind(*varying_alike(arguments), program=step, batch=Batch(), inside=False)

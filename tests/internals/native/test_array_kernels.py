@@ -96,6 +96,15 @@ def test_stacks_of_factors() -> None:
     agrees(lambda a, b: (jnp.linalg.cholesky(a), lax.linalg.lu(b)), positive(6, 4), drawn(3, 2, 7, 7))
 
 
+def test_branches() -> None:
+    def function(a: Any, x: Any) -> Any:
+        kind = (jnp.abs(x[0]) * 40.0).astype(int) - 1
+        branches = (lambda a: a @ a.T, lambda a: a.T, lambda a: jnp.tanh(a) + a[:1])
+        return lax.switch(kind, branches, a), a @ x
+
+    agrees(function, drawn(20, 20), 0.03 * np.ones(20))
+
+
 def test_entries_sums_and_places() -> None:
     def function(a: Any, b: Any, c: Any) -> Any:
         chosen = jnp.where(a > 0.0, jnp.sin(a), jnp.exp(-jnp.abs(a)) * c[:, None])
@@ -104,8 +113,10 @@ def test_entries_sums_and_places() -> None:
         where = (100.0 * jnp.abs(c[:8])).astype(int)
         where = jnp.where(where > 6, 6, where)
         placed = a[where], a.at[where].add(2.0 * a[:8], mode="clip"), lax.dynamic_slice(a, (where[0], where[1]), (3, 4))
+        beyond = jnp.where(where > 3, where + 9, where)
+        dropped = a.at[beyond].add(2.0 * a[:8]), a.at[beyond[0] - 12].set(a[1])
         updated = lax.dynamic_update_slice(a, a[:2, :2], (where[2], where[3]))
-        return chosen, sums, moved, placed, updated, jnp.stack([a, 2.0 * a], 1), a @ b, jnp.tril(a)
+        return chosen, sums, moved, placed, dropped, updated, jnp.stack([a, 2.0 * a], 1), a @ b, jnp.tril(a)
 
     agrees(function, drawn(9, 11), drawn(11, 2), drawn(9))
 

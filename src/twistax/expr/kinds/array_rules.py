@@ -45,7 +45,10 @@ class _PartOfArray(Rule):
 
     def links(self, node: Any) -> Iterable[Link]:
         base, index = node.base, node.index
-        if base.shape == (4, 4) and isinstance(index, tuple) and len(index) == 2:
+        if isinstance(index, int) and node.shape != (4,):
+            for axis in range(-node.ndim, 0):
+                yield base, axis, node, axis, Common.SAME
+        elif base.shape == (4, 4) and isinstance(index, tuple) and len(index) == 2:
             if index[0] == slice(None, 3) or index[0] == slice(0, 3):
                 yield base, -2, node, -node.ndim, Common.FRAME
                 if node.shape == (3, 3):

@@ -5,12 +5,13 @@ from __future__ import annotations
 from typing import Any, TypeVar
 
 from ...errors import ModelError
+from ..graph import FACTS
 from ..leaves import Constant, Leaf
 from ..node import Expr, to_expr
 from .kinds import Kind, declared
 
 #: Where a node keeps the kind and the unit of `known_as`, and what says that a system shall be checked.
-_KNOWN, _CHECKED = "_known_as", "_checked"
+_KNOWN, _CHECKED = FACTS
 
 
 def declare(value: Any, kind: Kind | None = None, unit: Any = None) -> Expr:

@@ -11,7 +11,7 @@ each place.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from ...errors import KindError
 from ..graph import find_path, postorder
@@ -73,12 +73,18 @@ class Inference:
         for node in nodes:
             if id(node) in self._free:
                 continue
+            rule = node.kinds or OPEN
+            if rule.maps:
+                self._elements(node)
             for body in bodies(node):
                 self._read(postorder(body))
             if isinstance(node, Leaf):
                 self._leaf(node)
+            elif rule.maps:
+                self._mapped(node)
+                self._known_as(node)
             else:
-                self._node(node, node.kinds or OPEN)
+                self._node(node, rule)
                 self._known_as(node)
 
     def _numbered(self, value: Expr) -> int:
@@ -164,6 +170,34 @@ class Inference:
         made = rule.made(node, units)
         if made is not None:
             self._fix(self._spaces, end - node.ndim, AxisFact(made, node, -node.ndim, node))
+
+    def _elements(self, node: Any) -> None:
+        """What batches say of the elements in the body of a map."""
+        for batch, element in zip(node.batches, node.placeholders, strict=True):
+            read = id(element) in self._free
+            self._leaf(element)
+            # A body that is read with other batches says nothing of these.
+            if read or self._free[id(batch)]:
+                continue
+            self._units[self._ends[id(element)]] = self._units[self._ends[id(batch)]]
+            for axis in range(-element.ndim, 0):
+                mapped = node.axis - batch.ndim
+                self._same(node, (element, axis), (batch, axis if axis > mapped else axis - 1))
+
+    def _mapped(self, node: Any) -> None:
+        """The value of a map, from that of its body."""
+        end, body = self._numbered(node), node.body
+        self._ends[id(node)] = end
+        self._free[id(node)] = self._free[id(body)] and all(self._free[id(batch)] for batch in node.batches)
+        self._units[end] = self._units[self._ends[id(body)]]
+        if not self._free[id(body)]:
+            for axis in range(-body.ndim, 0):
+                self._same(node, (node, axis), (body, axis))
+
+    def _same(self, at: Expr, one: tuple[Expr, int], other: tuple[Expr, int]) -> None:
+        """Two axes of one frame and space."""
+        a, b = (self._ends[id(value)] + axis for value, axis in (one, other))
+        self._refuse(at, self._frames.link(a, b, False) or self._spaces.link(a, b, False))
 
     def _link(self, node: Expr, rule: Rule, links: Iterable[Link], ends: Mapping[int, int]) -> None:
         """What a node says of the axes of its operands and its value."""

@@ -56,8 +56,8 @@ class Kind:
         return None
 
     def check(self, name: str, shape: Shape) -> None:
-        """Raise ModelError if a leaf has another shape, or if a frame is not a name."""
-        if shape not in self.shapes:
+        """Raise ModelError if a leaf has another shape, also that of a stack, or if a frame is not a name."""
+        if shape not in self.shapes and shape[1:] not in self.shapes:
             wanted = " or ".join(map(str, self.shapes))
             raise ModelError(f"{name!r}: {type(self).__name__} is for shape {wanted}, got {shape}")
         for field in dataclasses.fields(self):

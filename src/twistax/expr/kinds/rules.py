@@ -62,6 +62,8 @@ class Rule:
     keeps_bodies: ClassVar[bool] = False
     #: Whether each link is one from an operand to the result.
     entrywise: ClassVar[bool] = False
+    #: Whether it maps a body over batches: elements and results are as the values of the body.
+    maps: ClassVar[bool] = False
 
     def links(self, node: Any) -> Iterable[Link]:
         """The pairs of axes that correspond."""
@@ -92,6 +94,16 @@ class Rule:
 OPEN = Rule()
 #: Stated by leaves: what they declare.
 DECLARED = Rule()
+
+
+@dataclasses.dataclass(frozen=True)
+class _Mapped(Rule):
+    """A map over batches: every element is of the kind of its batch, and the result is of the kind of the body."""
+
+    maps = True
+
+
+MAPPED = _Mapped()
 
 
 @dataclasses.dataclass(frozen=True)

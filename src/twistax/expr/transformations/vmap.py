@@ -97,7 +97,7 @@ class Vmap(Expr):
     body: Expr
     placeholders: tuple[Expr, ...]
     copies: bool = False
-    kinds = rules.OPEN
+    kinds = rules.MAPPED
     cases = (
         (lambda cls, x, points: cls(lambda p: p * x - 2.0, points), {"x": [0.3, -0.4], "points": _POINTS}),
         (

@@ -14,8 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
+from ...scalar.array_primitive import KernelOfArrays
 from ...scalar.jax_primitive import Derived, Differentiable, call_program
-from ...scalar.loops import Filling, Repeated, repeat
+from ...scalar.loops import Filling, Looped, Repeated, repeat
 from ...scalar.small_call import inside_small_call, small_call
 from ..charts.coordinates import Blocks
 from ..method import Carry, StepAttempt, Stepper
@@ -87,7 +88,7 @@ def _types(leaves: list[Any]) -> tuple[jax.ShapeDtypeStruct, ...]:
 class KernelSteps(NamedTuple):
     """Steps of fixed lengths of a method on a system, with inputs of some types, all in one call."""
 
-    repeated: Repeated  # the step on flat arrays, the state in one
+    repeated: Repeated | Looped  # the step on flat arrays, the state in one
     evaluations: int  # of the right-hand side in a step
 
     def run(
@@ -159,7 +160,7 @@ def kernel_tries(
     def cast(leaves: Any) -> Now:
         return jax.tree.unflatten(form, [a.astype(kind) for a, kind in zip(leaves, kinds, strict=True)])
 
-    def make() -> Repeated | None:
+    def make() -> Any:
         records: list[Any] = []
 
         def iteration(_: jax.Array, *leaves: jax.Array) -> list[jax.Array]:
@@ -236,7 +237,14 @@ def _shared_program(function: Callable[..., Any], of: Any, stepper: Stepper, res
 
 def advance_again(stepper: Stepper, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
     """`stepper.advance`, for loops that are differentiated: a program is compiled faster, and runs as one function."""
-    leaves, structure = jax.tree.flatten((stepper, t, y, h))
+    program = _step_again(stepper, t, y, h)
+    if program is None:
+        return stepper.advance(t, y, h)
+    return jax.tree.unflatten(jax.tree.structure(y), call_program(program, *jax.tree.leaves((stepper, t, y, h))))
+
+
+def _step_again(stepper: Stepper, *arguments: Any) -> Differentiable | None:
+    leaves, structure = jax.tree.flatten((stepper, *arguments))
     types = _types(leaves)
 
     def step(*leaves: jax.Array) -> list[jax.Array]:
@@ -245,10 +253,40 @@ def advance_again(stepper: Stepper, t: jax.Array, y: Blocks, h: jax.Array) -> Bl
 
     program: Differentiable | None = _made(
         stepper,
-        y,
+        arguments[1],
         (advance_again, structure, types),
         lambda: stepper.dynamics.backend.steps().differentiable(step, types),
     )
+    return program
+
+
+def scan_again(
+    stepper: Stepper, y: Blocks, entries: tuple[jax.Array, Any], count: jax.Array, record: bool
+) -> tuple[Blocks, Blocks | None] | None:
+    """Several steps on matrices in a row as one kernel, whose reverse pass is one too; None: there is none.
+
+    Args:
+        entries: the numbers of the steps and their parts; those from `count` on change nothing.
+        record: whether the values before each step are returned too.
+    """
+    first = jax.tree.map(lambda a: a[0], entries[1])
+    if not isinstance(_step_again(stepper, first.t, y, first.h), KernelOfArrays):
+        return None
+    leaves, structure = jax.tree.flatten((stepper, y, entries, count))
+    types = _types(leaves)
+
+    def steps(*leaves: jax.Array) -> list[jax.Array]:
+        stepper, y, entries, count = jax.tree.unflatten(structure, leaves)
+
+        def one(y: Blocks, entry: tuple[jax.Array, Any]) -> tuple[Blocks, Blocks | None]:
+            new = stepper.in_arrays.advance(entry[1].t, y, entry[1].h)
+            return jax.tree.map(lambda a, b: jnp.where(entry[0] < count, a, b), new, y), y if record else None
+
+        return jax.tree.leaves(jax.lax.scan(one, y, entries))
+
+    key = (scan_again, structure, types, record)
+    program = _made(stepper, y, key, lambda: stepper.dynamics.backend.steps().of_matrices(steps, types))
     if program is None:
-        return stepper.advance(t, y, h)
-    return jax.tree.unflatten(jax.tree.structure(y), call_program(program, *leaves))
+        return None
+    both: tuple[Blocks, Blocks | None] = (y, y if record else None)
+    return jax.tree.unflatten(jax.tree.structure(both), call_program(program, *leaves))

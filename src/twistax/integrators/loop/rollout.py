@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import math
 from collections.abc import Callable
 from typing import Any
 
@@ -12,14 +11,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...jax_inside import any_of_batch, batched_branches_transpose, is_traced
+from ...jax_inside import batched_branches_transpose, is_traced
 from ...scalar.small_call import small_call
 from ...system.dynamics import Arrays
 from ..charts.coordinates import Blocks
 from ..events.crossings import crossing_rows
 from ..events.event_end import Meeting, cut_at, refined, refined_rows, saved_before, to_event
 from ..method import Stepper, jitted
-from .kernels import Packed, advance_again, has_shared_kernel, opened, shared_kernel
+from .checkpointed import take_steps
+from .kernels import Packed, advance_again, has_shared_kernel, opened, scan_again, shared_kernel
 from .loop import Steps, all_finite, first_rows
 from .outcome import LoopOutcome, Result, Run, Saved, StepPart
 from .unreached import nan_unless, zero_of
@@ -288,7 +288,8 @@ def _taken_again(steps: Steps, stepper: Stepper, x: Arrays, run: Run, known: Mee
     taken = dataclasses.replace(all_parts, h=jnp.where(jnp.arange(steps.bound) < count, all_parts.h, 0.0))
     crossed = None if run.event_state is None else run.event_state.crossed
     recorded = steps.dense or run.saved is not None or crossed is not None
-    end, every = take_steps(step, stepper.stored.enter(x), taken, count, steps.bound, recorded)
+    start, together = stepper.stored.enter(x), functools.partial(scan_again, stepper)
+    end, every = take_steps(step, start, taken, count, steps.bound, recorded, together)
     run = dataclasses.replace(run, end=end, trail=steps.trail(run.path, count, every) if steps.dense else None)
     meeting = None
     if known is not None:
@@ -317,84 +318,3 @@ def _taken_again(steps: Steps, stepper: Stepper, x: Arrays, run: Run, known: Mee
     moved = None if meeting is None else to_event(functools.partial(advance_again, stepper), end, meeting)
     result = _to_saved_times(steps, stepper, x, run, meeting, moved, to_saves)
     return _with_conditions(stepper, run, result)
-
-
-# ---- a loop of steps that is differentiable in reverse in bounded memory -------------------------------------------
-
-#: Steps in a block. The backward pass computes them again: only states at the starts of blocks are kept.
-_BLOCK = 16
-#: More blocks than this are nested.
-_NEST = 64
-#: Fewer steps than this are one block, without recomputation.
-_UNNESTED = 64
-
-
-def take_steps(
-    step: Callable[[Any, Any], Any], y: Any, entries_by_step: Any, count: jax.Array, bound: int, record: bool
-) -> tuple[Any, Any]:
-    """y after the first `count` of the steps y -> step(y, entries_by_step[k]), k = 0, 1, ..., bound - 1.
-
-    Traceable, and differentiable forward and in reverse to any order. Reverse mode keeps the states at the starts of
-    blocks alone, about 16 + 2 (n/16)^(1/2) states for n steps, and takes two more forward passes; up to 64 steps are
-    not recomputed. Values that a step closes over are copied for every block, so they should be small. Blocks beyond
-    the count are skipped, under vmap where all members skip them.
-
-    Args:
-        record: also return the values before each step, and after the last one, on a leading axis of bound + 1; entries
-            beyond the count repeat the end.
-    """
-
-    def one(y: Any, entry: tuple[jax.Array, Any]) -> tuple[Any, Any]:
-        k, inputs = entry
-
-        def taken(y: Any) -> Any:
-            return jax.tree.map(lambda new, old: jnp.where(k < count, new, old), step(y, inputs), y)
-
-        after = taken(y) if len(sizes) == 1 else jax.lax.cond(any_of_batch(k < count), taken, lambda y: y, y)
-        return after, y if record else None
-
-    def block_of(level: Any) -> Any:
-        """A level of nested blocks, recomputed in reverse mode and skipped beyond the count."""
-
-        @jax.checkpoint
-        def run(y: Any, entries: tuple[jax.Array, Any]) -> tuple[Any, Any]:
-            return jax.lax.scan(level, y, entries)
-
-        def block(y: Any, entries: tuple[jax.Array, Any]) -> tuple[Any, Any]:
-            shapes = jax.eval_shape(run, y, entries)[1]
-            first = entries[0].reshape(-1)[0]
-
-            def passed(y: Any) -> tuple[Any, Any]:
-                return y, shapes and jax.tree.map(lambda a, like: jnp.broadcast_to(a, like.shape), y, shapes)
-
-            return jax.lax.cond(any_of_batch(first < count), lambda y: run(y, entries), passed, y)
-
-        return block
-
-    sizes = _sizes(bound)
-    span = math.prod(sizes)
-
-    def padded(a: jax.Array) -> jax.Array:
-        return jnp.concatenate([a, jnp.broadcast_to(a[-1], (span - len(a), *a.shape[1:]))])
-
-    entries = (jnp.arange(span), jax.tree.map(padded, entries_by_step))
-    entries = jax.tree.map(lambda a: a.reshape(*sizes, *a.shape[1:]), entries)
-    level: Any = one
-    for _ in sizes[1:]:
-        level = block_of(level)
-    end, before = jax.lax.scan(level, y, entries)
-    if not record:
-        return end, None
-    steps = jax.tree.map(lambda a: a.reshape(span, *a.shape[len(sizes) :])[:bound], before)
-    return end, jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), steps, end)
-
-
-def _sizes(bound: int) -> list[int]:
-    """Sizes of the nested blocks, outermost first, whose product is at least the bound."""
-    if bound <= _UNNESTED:
-        return [max(bound, 1)]
-    rest = math.ceil(bound / _BLOCK)
-    if rest <= _NEST:
-        return [rest, _BLOCK]
-    outer = math.ceil(math.sqrt(rest))
-    return [outer, math.ceil(rest / outer), _BLOCK]

@@ -20,6 +20,7 @@ import twistax as tx
 
 from ...scalar.backends import Backend
 from ...scalar.graph import TooLarge
+from ..harness import timing
 from ..harness.timing import Timed, compiled
 from .cases import EvaluatedFunction
 
@@ -146,6 +147,10 @@ class JaxTask:
         """Many points at once."""
         return self._compiled(jax.vmap, count, evaluations=count)
 
+    def in_place(self, count: int) -> Timed:
+        """Many points at once, where a call writes its results over those of the call before."""
+        return timing.batch(self._make(), *self._case.points(count))
+
     def _compiled(self, use: Callable[[Function], Any], points: int = 0, **counts: int) -> Timed:
         arguments = [jnp.asarray(a if points else a[0]) for a in self._case.points(points or 1)]
         begin = time.perf_counter()
@@ -206,6 +211,9 @@ def _unrolls(dynamics: tx.Dynamics, case: EvaluatedFunction) -> bool:
 
 SCALARS = Contender("twistax XLA", "C0", functools.partial(_twistax, tx.XLA()))
 NATIVE = Contender("twistax native", "C3", functools.partial(_twistax, tx.Native()), package="llvmlite")
+NATIVE_ALONE = Contender(
+    "twistax native, one thread", "C8", functools.partial(_twistax, tx.Native(threads=1)), package="llvmlite"
+)
 ARRAYS = Contender("twistax arrays", "C9", functools.partial(_twistax, tx.JAX()))
 
 

@@ -2,6 +2,7 @@
 
 import ctypes
 import functools
+import re
 import subprocess
 import tempfile
 import time
@@ -23,6 +24,7 @@ from .contenders import (
     CALLS,
     JACOBIAN,
     NATIVE,
+    NATIVE_ALONE,
     PLAIN,
     SCALARS,
     TINY,
@@ -143,8 +145,11 @@ PINOCCHIO = Contender("Pinocchio", "C4", _pinocchio, package="pin", module="pino
 
 # ---- CasADi: a function of SX symbols, C written from it, compiled with gcc and called in a C loop ------------------
 
-_FLAGS = ("-O3", "-march=native", "-fPIC", "-shared")
-_LOOP = Path(__file__).with_name("loop.c")
+_FLAGS = ("-O3", "-march=native", "-fPIC", "-shared", "-fopenmp", "-fno-math-errno")
+_LOOPS = Path(__file__).with_name("loop.c"), Path(__file__).with_name("lanes.c")
+
+#: Points that vector instructions of 512 bits compute side by side.
+LANES = 8
 
 #: Longer, s, and gcc is stopped.
 _PATIENCE = 120.0
@@ -169,35 +174,61 @@ def _as_numpy(ca: Any) -> Any:
     )
 
 
-def _casadi(case: EvaluatedFunction, quantity: DerivativeKind) -> Task:
-    """C code of CasADi, written and compiled once for all uses. Raises Lacks where gcc takes too long."""
+def _function(case: EvaluatedFunction, quantity: DerivativeKind) -> Any:
+    """The matrices as a function of SX symbols; rows of a Jacobian are together, as ours are."""
     import casadi as ca
 
-    shape, arguments = quantity.shape(case), [ca.SX.sym(name, n) for name, n in zip("abc", case.sizes, strict=True)]
-    result = ca.vertcat(*case.by_hand(_as_numpy(ca), *arguments))
-    begin, x = time.perf_counter(), ca.vertcat(*arguments[:2])
+    arguments = [ca.SX.sym(name, n) for name, n in zip("abc", case.sizes, strict=True)]
+    result, x = ca.vertcat(*case.by_hand(_as_numpy(ca), *arguments)), ca.vertcat(*arguments[:2])
     if quantity is not VALUE:
-        # CasADi keeps columns together, we rows.
+        # CasADi keeps columns together.
         result = ca.jacobian(result, x).T if quantity is JACOBIAN else ca.gradient(ca.sum1(result), x)
-    function, generator = ca.Function("evaluated", arguments, [ca.densify(result)]), ca.CodeGenerator("evaluated.c")
+    return ca.Function("evaluated", arguments, [ca.densify(result)])
+
+
+def in_lanes(source: str) -> str:
+    """C of CasADi in which `casadi_real` may be a vector: numbers that are assigned become vectors."""
+    source = re.sub(r"(\w+\[\d+\])\? (\1\[\d+\]) : 0;", r"\2;", source)
+    source = re.sub(r"=(-?\d[\d.eE+-]*);", r"=(casadi_real){}+\1;", source)
+    return re.sub(r"(casadi_real \w+_default_in.*?)return 0;", r"\1return (casadi_real){};", source, flags=re.DOTALL)
+
+
+def _library(function: Any, sizes: dict[str, int], folder: str, lanes: int, threads: int) -> str:
+    """The path of a shared library from the C of a function. Raises Lacks where gcc takes too long."""
+    import casadi as ca
+
+    generator = ca.CodeGenerator("evaluated.c")
     generator.add(function)
+    source, target = Path(folder, "evaluated.c"), f"{folder}/evaluated.so"
+    source.write_text(in_lanes(generator.dump()) if lanes > 1 else generator.dump())
+    sizes = sizes | {name: getattr(function, name.lower())() for name in ("SZ_ARG", "SZ_RES", "SZ_IW", "SZ_W")}
+    defined = [f"-D{name}={value}" for name, value in (sizes | {"LANES": lanes, "THREADS": threads}).items()]
+    defined += ["-DNAME=evaluated", f'-DSOURCE="{source}"']
+    words = ["gcc", *_FLAGS, *defined, "-o", target, str(_LOOPS[lanes > 1]), "-lm"]
+    try:
+        subprocess.run(words, check=True, capture_output=True, timeout=_PATIENCE)
+    except subprocess.TimeoutExpired:
+        raise Lacks(f"gcc was stopped after {_PATIENCE:g} s on {function.n_instructions():,} operations") from None
+    return target
+
+
+def _casadi(lanes: int, threads: int, case: EvaluatedFunction, quantity: DerivativeKind) -> Task:
+    """C code of CasADi, written and compiled once for all uses; in lanes for batches alone."""
+    import casadi as ca
+
+    begin, shape, function = time.perf_counter(), quantity.shape(case), _function(case, quantity)
     sizes = dict(zip(("SIZE_A", "SIZE_B", "SIZE_C"), case.sizes, strict=True)) | {"SIZE_OUT": int(np.prod(shape))}
-    sizes |= {name: getattr(function, name.lower())() for name in ("SZ_ARG", "SZ_RES", "SZ_IW", "SZ_W")}
     # What is loaded stays when its file is gone.
     with tempfile.TemporaryDirectory() as folder:
-        generator.generate(f"{folder}/")
-        target, defined = f"{folder}/evaluated.so", [f"-D{name}={value}" for name, value in sizes.items()]
-        defined += ["-DNAME=evaluated", f'-DSOURCE="{folder}/evaluated.c"']
-        words = ["gcc", *_FLAGS, *defined, "-o", target, str(_LOOP), "-lm"]
-        try:
-            subprocess.run(words, check=True, capture_output=True, timeout=_PATIENCE)
-        except subprocess.TimeoutExpired:
-            raise Lacks(f"gcc was stopped after {_PATIENCE:g} s on {function.n_instructions():,} operations") from None
-        library, external = ctypes.CDLL(target), ca.external("evaluated", target)
+        target = _library(function, sizes, folder, lanes, threads)
+        library: Any = ctypes.CDLL(target)
+        external: Any = None if lanes > 1 else ca.external("evaluated", target)
     seconds = time.perf_counter() - begin
-    library.twistax_batch.argtypes = [ctypes.c_long, *[_VECTOR] * 4]
+    library.twistax_batch.argtypes, library.twistax_batch.restype = [ctypes.c_long, *[_VECTOR] * 4], None
+    if lanes > 1:
+        return PointwiseTask(case, quantity, seconds, _batches_only, _batches_only, library.twistax_batch)
     library.twistax_loop.argtypes = [ctypes.c_long, ctypes.c_double, *[_VECTOR] * 4]
-    library.twistax_batch.restype = library.twistax_loop.restype = None
+    library.twistax_loop.restype = None
 
     def calls(*point: Any) -> Any:
         return np.asarray(repeated(CALLS, external, *point).full()).T.reshape(shape)
@@ -205,7 +236,17 @@ def _casadi(case: EvaluatedFunction, quantity: DerivativeKind) -> Task:
     return PointwiseTask(case, quantity, seconds, calls, library.twistax_loop, library.twistax_batch, wrap=ca.DM)
 
 
-CASADI = Contender("CasADi C", "C1", _casadi, package="casadi", tool="gcc")
+def _batches_only(*_: Any) -> Any:
+    raise Lacks(f"it computes {LANES} points at a time")
+
+
+def in_c(name: str, colour: str, lanes: int, threads: int = 1) -> Contender:
+    """CasADi's C, for some points side by side and in some threads."""
+    return Contender(name, colour, functools.partial(_casadi, lanes, threads), package="casadi", tool="gcc")
+
+
+CASADI = in_c("CasADi C", "C1", 1)
+CASADI_LANES = in_c("CasADi C, 8 lanes", "C6", LANES)
 
 #: All of them, in the order of tables.
-ALL = (SCALARS, NATIVE, ARRAYS, PLAIN, OPENSCVX, CASADI, PINOCCHIO)
+ALL = (SCALARS, NATIVE, NATIVE_ALONE, ARRAYS, PLAIN, OPENSCVX, CASADI, CASADI_LANES, PINOCCHIO)

@@ -190,12 +190,16 @@ class KernelRunner:
             return None if self.arrays(closed, False) else str(error).splitlines()[0]
         return None
 
-    def arrays(self, closed: ClosedJaxpr, checked: bool) -> KernelOfArrays | None:
-        """A function of matrices with kernels that loop over their entries; None where it has no such form."""
+    def arrays(self, closed: ClosedJaxpr, checked: bool, terminates: bool = False) -> KernelOfArrays | None:
+        """A function of matrices with kernels that loop over their entries; None where it has no such form.
+
+        Args:
+            terminates: whether its `while` loops end for all arguments; else there is no such form of them.
+        """
 
         def kernels(closed: ClosedJaxpr) -> Kernels | None:
             try:
-                form = array_form(closed, checked)
+                form = array_form(closed, checked, terminates)
             except (NotNative, TooLarge):
                 return None
             operations = array_operations(closed.jaxpr).total()

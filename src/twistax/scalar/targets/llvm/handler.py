@@ -6,6 +6,7 @@ What differs from kernel to kernel is filled in here.
 from __future__ import annotations
 
 import functools
+import time
 from pathlib import Path
 from string import Template
 
@@ -20,13 +21,18 @@ API = (0, 3)
 #: XLA's numbers of the types, `XLA_FFI_DataType`.
 _DATA_TYPES = {"double": 12, "float": 11, "i64": 5, "i32": 4, "i1": 1}
 
+#: What other threads cost on a loaded machine is at most about one part in so many of the time of all batches.
+_SHARE = 16
+
 #: Declarations of functions of LLVM and of the C library.
 _DECLARED = {
     "declare ptr @malloc(i64)",
     "declare void @free(ptr)",
     "declare i32 @sched_yield()",
+    "declare i32 @clock_gettime(i32, ptr)",
     "declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)",
     "declare i64 @llvm.umin.i64(i64, i64)",
+    "declare i64 @llvm.umax.i64(i64, i64)",
 }
 
 _BUFFER = """%right.{k} = call i1 @taken(ptr %{family}s, i64 {place}, i1 {shared}, i32 {type},
@@ -92,9 +98,11 @@ def write_host_handler(module: Module, body: BatchFunction, threads: int) -> Non
         table=16 * len(arrays),
         job=32 + 16 * len(arrays),
         threads=threads,
+        clock=getattr(time, "CLOCK_MONOTONIC", 1),  # Windows has neither the function nor kernels
+        share=_SHARE,
     )
     module.declarations |= _DECLARED
-    module.library |= {"malloc", "free", "sched_yield"}
+    module.library |= {"malloc", "free", "sched_yield", "clock_gettime"}
     module.functions["start"] = addressed(text)
     _write_handler(module, body, {}, long=_LONG, stride=_BY_ROWS, traits=0)
 

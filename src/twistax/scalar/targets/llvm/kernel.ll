@@ -27,14 +27,34 @@ ret void
 ; on at that moment, never for tasks that the pool has not begun: these find nothing to do, and the last one frees the
 ; job. So the pool cannot be blocked, however many kernels run in it.
 ; A job is the next row that nobody has taken, all rows, rows that are done, holders; then its table.
+; On a machine with other load a thread may wait for its processor with a chunk half done, a thousand times as long as a
+; small batch takes. What a batch took longer, in ns, than one thread would have needed is a debt: by the share of the
+; rows that the thread that started worked on, or by the last batch without other threads if that was faster. Batches run
+; without other threads until 1/$share of their time has paid it.
 
-define internal void @work(ptr %job) #0 {
+@debt = internal global i64 0
+; ns for 1,024 rows of the last batch without other threads.
+@pace = internal global i64 8589934592
+
+define internal i64 @now() #0 {
+entry:
+%time = alloca [2 x i64]
+%ignored = call i32 @clock_gettime(i32 $clock, ptr %time)
+%seconds = load i64, ptr %time
+%rest = load i64, ptr %time + 8
+%whole = mul i64 %seconds, 1000000000
+%sum = add i64 %whole, %rest
+ret i64 %sum
+}
+
+define internal i64 @work(ptr %job) #0 {
 entry:
 %rows = load i64, ptr %job + 8
 %done.at = getelementptr i64, ptr %job, i64 2
 %table = getelementptr i64, ptr %job, i64 4
 br label %take
 take:
+%own = phi i64 [ 0, %entry ], [ %more, %some ]
 %first = atomicrmw add ptr %job, i64 $chunk acq_rel
 %left = icmp ult i64 %first, %rows
 br i1 %left, label %some, label %none
@@ -44,9 +64,10 @@ some:
 call void @run(ptr %table, i64 %first, i64 %end)
 %count = sub i64 %end, %first
 %before = atomicrmw add ptr %done.at, i64 %count acq_rel
+%more = add i64 %own, %count
 br label %take
 none:
-ret void
+ret i64 %own
 }
 
 define internal void @release(ptr %job, i64 %holders) #0 {
@@ -63,7 +84,7 @@ ret void
 }
 
 define internal void @task(ptr %job) #0 {
-call void @work(ptr %job)
+%ignored = call i64 @work(ptr %job)
 call void @release(ptr %job, i64 1)
 ret void
 }
@@ -109,6 +130,22 @@ alone:
 call void @run(ptr %table, i64 0, i64 %rows)
 ret ptr null
 many:
+%debt = load atomic i64, ptr @debt monotonic, align 8
+%owing = icmp sgt i64 %debt, 0
+br i1 %owing, label %paying, label %asked
+paying:
+%before = call i64 @now()
+call void @run(ptr %table, i64 0, i64 %rows)
+%after = call i64 @now()
+%alone.time = sub i64 %after, %before
+%scaled = mul i64 %alone.time, 1024
+%last.pace = udiv i64 %scaled, %rows
+store atomic i64 %last.pace, ptr @pace monotonic, align 8
+%paid = udiv i64 %alone.time, $share
+%rest = sub i64 %debt, %paid
+store atomic i64 %rest, ptr @debt monotonic, align 8
+ret ptr null
+asked:
 %api = load ptr, ptr %frame + 16
 %context = load ptr, ptr %frame + 24
 %found = call i64 @threads(ptr %api, ptr %context)
@@ -124,6 +161,7 @@ share:
 %missing = icmp eq ptr %job, null
 br i1 %missing, label %alone, label %filled
 filled:
+%begin = call i64 @now()
 store i64 0, ptr %job
 store i64 %rows, ptr %job + 8
 %done.at = getelementptr i64, ptr %job, i64 2
@@ -156,7 +194,8 @@ call void @dropped(ptr %api, ptr %error)
 br label %join
 join:
 %running = phi i64 [ %holders, %call ], [ %begun, %refused ]
-call void @work(ptr %job)
+%own.rows = call i64 @work(ptr %job)
+%middle = call i64 @now()
 br label %wait
 wait:
 %done = load atomic i64, ptr %done.at acquire, align 8
@@ -166,6 +205,18 @@ yield:
 %ignored = call i32 @sched_yield()
 br label %wait
 leave:
+%end = call i64 @now()
+%worked = sub i64 %middle, %begin
+%taken = sub i64 %end, %begin
+%own.count = call i64 @llvm.umax.i64(i64 %own.rows, i64 1)
+%by.rows = mul i64 %worked, %rows
+%by.one = udiv i64 %by.rows, %own.count
+%pace = load atomic i64, ptr @pace monotonic, align 8
+%at.pace = mul i64 %pace, %rows
+%by.pace = lshr i64 %at.pace, 10
+%alone.ns = call i64 @llvm.umin.i64(i64 %by.one, i64 %by.pace)
+%lost = sub i64 %taken, %alone.ns
+store atomic i64 %lost, ptr @debt monotonic, align 8
 %absent = sub i64 %holders, %running
 %mine = add i64 %absent, 1
 call void @release(ptr %job, i64 %mine)

@@ -13,8 +13,8 @@ from ....jax_inside import backends
 from ...array_primitive import KernelOfArrays
 from ...backends import ANY_SIZE, XLA, Shapes, Step, StepCompiler, pure
 from ...graph import TooLarge
-from ...jax_primitive import PLATFORMS, Derived, Differentiable
-from ...loops import MakeKernel, Repeated, Ring
+from ...jax_primitive import PLATFORMS, Derived, Differentiable, call_program
+from ...loops import Looped, MakeKernel, Repeated, Ring, repeating
 from ...program import Rows, ScalarProgram
 from .code import NotNative
 from .iterations import Iterations
@@ -30,10 +30,10 @@ class StepKernels(StepCompiler):
     scalars: XLA
     runner: Any  #: makes the kernels
 
-    def repeated(self, step: Step, shapes: Shapes, state: int, row: Step | None = None) -> Repeated | None:
+    def repeated(self, step: Step, shapes: Shapes, state: int, row: Step | None = None) -> Repeated | Looped | None:
         program = self._whole_step(step, shapes)
         if program is None:
-            return None
+            return None if row is not None else self._loop_of_matrices(step, shapes, state)
         record = program.restricted(program.outputs[state + 1 :])
         form, row_form = native_form(program), None
         if record.outputs and row is not None:
@@ -46,6 +46,18 @@ class StepKernels(StepCompiler):
         return Repeated(
             form, state, functools.partial(self.runner.built, Iterations, form, (state, row_form)), row_form
         )
+
+    def _loop_of_matrices(self, step: Step, shapes: Shapes, state: int) -> Looped | None:
+        """A step on matrices that is repeated within one kernel; in batches each step is one."""
+        alone = self.of_matrices(step, shapes)
+        if alone is None:
+            return None
+        function = repeating(functools.partial(call_program, alone), state)
+        together = self.of_matrices(function, [shapes[0], *shapes], True)
+        if together is None:
+            return None
+        results = [(shape.shape, shape.dtype) for shape in (*shapes[len(shapes) - state :], shapes[0])]
+        return Looped(function, results, lambda single, platform: together.kernel(1, platform) if single else None)
 
     def looped(self, step: Step, shapes: Shapes, ring: Ring) -> MakeKernel | None:
         if max((math.prod(array.shape) for array in shapes), default=0) > self.scalars.widest:
@@ -64,14 +76,13 @@ class StepKernels(StepCompiler):
     def differentiable(self, step: Step, shapes: Shapes) -> Differentiable | None:
         program = self._whole_step(step, shapes)
         if program is None:
-            return self._of_arrays(step, shapes) or self.scalars.steps().differentiable(step, shapes)
+            return self.of_matrices(step, shapes) or self.scalars.steps().differentiable(step, shapes)
         program.graph.largest = ANY_SIZE
         return Derived(program, None, self.runner)
 
-    def _of_arrays(self, step: Step, shapes: Shapes) -> KernelOfArrays | None:
-        """A step on matrices as loops over their entries."""
-        closed = pure(step, shapes) if installed() else None
-        return None if closed is None else self.runner.arrays(closed, self.scalars.checked)
+    def of_matrices(self, function: Step, shapes: Shapes, terminates: bool = False) -> KernelOfArrays | None:
+        closed = pure(function, shapes) if installed() else None
+        return None if closed is None else self.runner.arrays(closed, self.scalars.checked, terminates)
 
     def shared(self, function: Step, shapes: Shapes) -> Derived | None:
         program = self._whole_step(function, shapes)

@@ -39,6 +39,9 @@ _MOST_ENDS = 2**18
 _MOST_BYTES = 2**21
 
 _ENTRYWISE = {entry.name for entry in (*OPERATIONS.values(), *ELEMENTWISE)} - {"copy", "optimization_barrier"}
+#: Equations whose operands are read by those of their functions alone; branches on small arrays are scalars.
+_LOOPS = "scan", "while"
+_WITH_FUNCTIONS = (*_LOOPS, "cond")
 #: Operations of which a function has some if loops pay off.
 _OF_MATRICES = {"dot_general", "cholesky", "lu", "triangular_solve"}
 
@@ -62,8 +65,11 @@ class ArrayForm:
         return Counter(eqn.primitive.name for eqn in all_equations(self.program.jaxpr))
 
 
-def array_form(program: ClosedJaxpr, checked: bool) -> ArrayForm:
+def array_form(program: ClosedJaxpr, checked: bool, terminates: bool = False) -> ArrayForm:
     """The form of a function of matrices.
+
+    Args:
+        terminates: whether its `while` loops end for all arguments, such as the random ones of a self-test.
 
     Raises:
         NotNative: it has none, or XLA is as fast.
@@ -71,9 +77,11 @@ def array_form(program: ClosedJaxpr, checked: bool) -> ArrayForm:
     program = inlined(program)
     every = list(all_equations(program.jaxpr))
     ends = [v.aval for v in (*program.jaxpr.invars, *program.jaxpr.outvars)]
-    avals = [v.aval for eqn in every for v in (*eqn.invars, *eqn.outvars) if eqn.primitive.name != "scan"]
+    avals = [v.aval for eqn in every for v in (*eqn.invars, *eqn.outvars) if eqn.primitive.name not in _WITH_FUNCTIONS]
     if _OF_MATRICES.isdisjoint(eqn.primitive.name for eqn in every):
         raise NotNative("it has no products or factors of matrices")
+    if not terminates and any(eqn.primitive.name == "while" for eqn in every):
+        raise NotNative("it has a loop of unknown length")
     largest = max((aval.size for aval in avals), default=0)
     if largest > _LARGEST or sum(aval.size for aval in ends) > _MOST_ENDS:
         raise NotNative(f"one of the arrays has more than {_LARGEST:,} entries")
@@ -298,4 +306,4 @@ def _is_small(eqn: Any) -> bool:
     entry = entry_of(eqn)
     if entry is None or (entry.read is None and not hasattr(entry, "number")):
         return False
-    return all(v.aval.size <= _SMALL for v in (*eqn.invars, *eqn.outvars)) and eqn.primitive.name != "scan"
+    return all(v.aval.size <= _SMALL for v in (*eqn.invars, *eqn.outvars)) and eqn.primitive.name not in _LOOPS

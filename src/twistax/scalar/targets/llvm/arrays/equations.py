@@ -143,8 +143,7 @@ def _gather(writer: Any, eqn: Any, a: Value, indices: Value) -> list[Value]:
     def slices(entries: list[str]) -> None:
         last = array.shape[axis] - 1
         starts = _starts(writer, [(places, entries[1], last, array.strides[axis])])
-        index = writer.load(places, entries[1])
-        there = code.instruction("icmp ule", places.kind, index, code.constant(places.kind, last))
+        there = _is_place(writer, places, entries[1], last)
 
         def entry(inside: list[str]) -> None:
             value = writer.gathered(array, [writer.plus(start, inside[1]) for start in starts])
@@ -159,7 +158,7 @@ def _gather(writer: Any, eqn: Any, a: Value, indices: Value) -> list[Value]:
 
 
 def _scatter(writer: Any, eqn: Any, a: Value, indices: Value, updates: Value) -> list[Value]:
-    """Slices at places along one axis are set, or added to one after the other."""
+    """Slices at places along one axis are set, or added to one after the other; others are left out."""
     numbers, p, adds = eqn.params["dimension_numbers"], eqn.params, eqn.primitive.name == "scatter-add"
     axes = tuple(map(int, numbers.scatter_dims_to_operand_dims))
     if len(axes) != 1 or tuple(map(int, numbers.inserted_window_dims)) != axes or numbers.operand_batching_dims:
@@ -167,8 +166,7 @@ def _scatter(writer: Any, eqn: Any, a: Value, indices: Value, updates: Value) ->
     axis, last = axes[0], a.shape[axes[0]] - 1
     known = None if isinstance(indices, View) else indices.number
     within = known is not None and 0 <= int(known) <= last
-    if p["mode"] == lax.GatherScatterMode.FILL_OR_DROP and not within:
-        raise NotNative("a scatter that leaves out places has no native form")
+    drops = p["mode"] == lax.GatherScatterMode.FILL_OR_DROP and not within
     result, places, new = _copied(writer, a), writer.stored(indices), writer.stored(updates)
     windows = [int(k) for k in numbers.update_window_dims]
     outer, kept = (
@@ -180,11 +178,14 @@ def _scatter(writer: Any, eqn: Any, a: Value, indices: Value, updates: Value) ->
 
     def slices(entries: list[str]) -> None:
         starts = _starts(writer, [(places, entries[1], last, result.strides[axis])])
+        kept_places = _is_place(writer, places, entries[1], last) if drops else ""
 
         def entry(inside: list[str]) -> None:
             there = [writer.plus(start, inside[1]) for start in starts]
             value = writer.load(new, writer.plus(entries[0], inside[0]))
-            value = form(writer.code, result.kind, writer.gathered(result, there), value) if adds else value
+            old = writer.gathered(result, there) if adds or drops else ""
+            value = form(writer.code, result.kind, old, value) if adds else value
+            value = writer.code.select(result.kind, kept_places, value, old) if drops else value
             writer.scattered(result, there, value)
 
         strides = [[new.strides[k] for k in windows], [result.strides[k] for k in kept]]
@@ -192,6 +193,13 @@ def _scatter(writer: Any, eqn: Any, a: Value, indices: Value, updates: Value) ->
 
     writer.over([new.shape[k] for k in outer], [[new.strides[k] for k in outer], places.strides[:-1]], 1, slices)
     return [result]
+
+
+def _is_place(writer: Any, places: View, entry: str, last: int) -> str:
+    """Whether an index is one of the places 0 to `last`, for each member."""
+    index = writer.load(places, entry)
+    flags: str = writer.code.instruction("icmp ule", places.kind, index, writer.code.constant(places.kind, last))
+    return flags
 
 
 def _starts(writer: Any, places: Sequence[tuple[View, str, int, int]]) -> list[str]:
@@ -252,10 +260,7 @@ def _scan(writer: Any, eqn: Any, *values: Value) -> list[Value]:
         if eqn.params["reverse"]:
             k = writer.code.emit(f"sub i64 {length - 1}, {k}")
         results = writer.run(body, [*constants, *state, *(writer.within(row, k) for row in rows)])
-        # A state may be what another one becomes; those that only add to themselves are added to where they stand.
-        roots = {s.root for s in state}
-        alone = [all(r == s or r.root not in roots for r in writer.reads(v)) for v, s in zip(results, state)]
-        new = [v if one else _copied(writer, v) for v, one in zip(results, alone)]
+        new = _apart(writer, state, results[:carried])
         for target, value in zip(stacked, results[carried:], strict=True):
             writer.assign(writer.within(target, k), value)
         for target, value in zip(state, new, strict=True):
@@ -264,6 +269,71 @@ def _scan(writer: Any, eqn: Any, *values: Value) -> list[Value]:
 
     writer.loop("0", str(length), iteration)
     return [*state, *stacked]
+
+
+def _apart(writer: Any, state: Sequence[View], results: Sequence[Value]) -> list[Value]:
+    """Copies of new states that read what another state holds; those that only add to themselves stay as they are."""
+    roots = {s.root for s in state}
+    alone = [all(r == s or r.root not in roots for r in writer.reads(v)) for v, s in zip(results, state, strict=True)]
+    return [v if one else _copied(writer, v) for v, one in zip(results, alone, strict=True)]
+
+
+def _while(writer: Any, eqn: Any, *values: Value) -> list[Value]:
+    """Iterations of one member, until its condition ends them."""
+    p, code = eqn.params, writer.code
+    if code.lanes > 1:
+        raise NotNative("loops of unknown lengths have no native form for members side by side")
+    asking, fixed = p["cond_nconsts"], p["cond_nconsts"] + p["body_nconsts"]
+    condition, body = (inlined(closed(p[name])) for name in ("cond_jaxpr", "body_jaxpr"))
+    constants, state = [writer.stored(v) for v in values[:fixed]], [_copied(writer, v) for v in values[fixed:]]
+    head, inside, done = (code.label() for _ in range(3))
+    code.lines += [f"br label %{head}", f"{head}:"]
+    (flag,) = writer.run(condition, [*constants[:asking], *state])
+    going = writer.load(writer.stored(flag), "0")
+    code.lines += [f"br i1 {going}, label %{inside}, label %{done}", f"{inside}:"]
+    results = writer.run(body, [*constants[asking:], *state])
+    for target, value in zip(state, _apart(writer, state, results), strict=True):
+        writer.assign(target, value)
+    code.lines += [f"br label %{head}", f"{done}:"]
+    return list(state)
+
+
+def _cond(writer: Any, eqn: Any, index: Value, *values: Value) -> list[Value]:
+    """The branch that one member takes; of members side by side all branches, of which each takes one."""
+    code, branches = writer.code, [inlined(closed(branch)) for branch in eqn.params["branches"]]
+    operands = [writer.stored(v) for v in values]
+    results = [writer.buffer(np.dtype(v.aval.dtype), v.aval.shape) for v in eqn.outvars]
+    places = writer.stored(index)
+    kind, last = places.kind, len(branches) - 1
+    # As JAX has it, an index beyond is the nearest one.
+    number = code.intrinsic("smax", kind, writer.load(places, "0"), code.constant(kind, 0))
+    number = code.intrinsic("smin", kind, number, code.constant(kind, last))
+    if code.lanes > 1:
+        for k, branch in enumerate(branches):
+            taken = code.instruction("icmp eq", kind, number, code.constant(kind, k))
+            for target, value in zip(results, writer.run(branch, operands), strict=True):
+                _assign_where(writer, taken, target, writer.stored(value))
+        return list(results)
+    labels, done = [code.label() for _ in branches], code.label()
+    cases = " ".join(f"{kind} {k}, label %{label}" for k, label in enumerate(labels[:-1]))
+    code.lines.append(f"switch {kind} {number}, label %{labels[-1]} [ {cases} ]")
+    for branch, label in zip(branches, labels, strict=True):
+        code.lines.append(f"{label}:")
+        for target, value in zip(results, writer.run(branch, operands), strict=True):
+            writer.assign(target, value)
+        code.lines.append(f"br label %{done}")
+    code.lines.append(f"{done}:")
+    return list(results)
+
+
+def _assign_where(writer: Any, flags: str, target: View, value: View) -> None:
+    """Write an array for the members with a flag."""
+
+    def entry(places: list[str]) -> None:
+        old, new = writer.load(target, places[0]), writer.load(value, places[1])
+        writer.store(target, places[0], writer.code.select(target.kind, flags, new, old))
+
+    writer.over(target.shape, [target.strides, value.strides], 1, entry)
 
 
 def _copied(writer: Any, value: Value) -> View:
@@ -304,5 +374,7 @@ WRITERS: Mapping[str, Callable[..., list[Value]]] = {
     "dynamic_update_slice": _dynamic_update_slice,
     "iota": _iota,
     "scan": _scan,
+    "while": _while,
+    "cond": _cond,
     **dict.fromkeys(("copy", "optimization_barrier", "stop_gradient"), _same),
 }
