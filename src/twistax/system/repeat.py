@@ -100,7 +100,7 @@ class _Fleet:
         weights = {"l1": constraint.l1, "l2": constraint.l2}
         return Soft(self.copies(constraint.constraint), **{key: self._weight(w) for key, w in weights.items()})
 
-    def _weight(self, weight: Expr | None) -> Expr | None:
+    def _weight(self, weight: Any) -> Any:
         if weight is None or not (weight.shape or any(leaf.name in self.leaves for leaf in leaves_of(weight))):
             return weight
         return self.copies(weight)
