@@ -98,10 +98,11 @@ class _Fleet:
         if not isinstance(constraint, Soft):
             return self.copies(constraint)
         weights = {"l1": constraint.l1, "l2": constraint.l2}
-        return Soft(self.copies(constraint.constraint), **{key: self._weight(w) for key, w in weights.items()})
+        copied = {key: self._weight(weight) for key, weight in weights.items() if weight is not None}
+        return Soft(self.copies(constraint.constraint), **copied)
 
-    def _weight(self, weight: Expr | None) -> Expr | None:
-        if weight is None or not (weight.shape or any(leaf.name in self.leaves for leaf in leaves_of(weight))):
+    def _weight(self, weight: Expr) -> Expr:
+        if not (weight.shape or any(leaf.name in self.leaves for leaf in leaves_of(weight))):
             return weight
         return self.copies(weight)
 
