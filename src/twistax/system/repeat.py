@@ -98,10 +98,11 @@ class _Fleet:
         if not isinstance(constraint, Soft):
             return self.copies(constraint)
         weights = {"l1": constraint.l1, "l2": constraint.l2}
-        return Soft(self.copies(constraint.constraint), **{key: self._weight(w) for key, w in weights.items()})
+        copied = {key: self._weight(weight) for key, weight in weights.items() if weight is not None}
+        return Soft(self.copies(constraint.constraint), **copied)
 
-    def _weight(self, weight: Any) -> Any:
-        if weight is None or not (weight.shape or any(leaf.name in self.leaves for leaf in leaves_of(weight))):
+    def _weight(self, weight: Expr) -> Expr:
+        if not (weight.shape or any(leaf.name in self.leaves for leaf in leaves_of(weight))):
             return weight
         return self.copies(weight)
 
@@ -134,16 +135,15 @@ def _many(leaf: Any, count: int) -> Leaf:
     def spread(value: Any) -> Any:
         return None if value is None else np.broadcast_to(value, (count, *np.shape(value)))
 
-    facts = {"kind": leaf.kind, "unit": leaf.unit}
     if isinstance(leaf, Parameter):
-        return Parameter(leaf.name, (count, *leaf.shape), value=spread(leaf.value), **facts)
+        return Parameter(leaf.name, (count, *leaf.shape), value=spread(leaf.value))
     guess = leaf.guess
     if guess is not None:
         guess = spread(guess) if guess.ndim == len(leaf.shape) else np.stack([guess] * count, axis=1)
     if isinstance(leaf, Control):
         options = {"min": spread(leaf.min), "max": spread(leaf.max), "scale": spread(leaf.scale)}
-        return Control(leaf.name, (count, *leaf.shape), guess=guess, **options, **facts)
-    ends = facts | {"initial": spread(leaf.initial), "final": spread(leaf.final), "guess": guess}
+        return Control(leaf.name, (count, *leaf.shape), guess=guess, **options)
+    ends = {"initial": spread(leaf.initial), "final": spread(leaf.final), "guess": guess}
     if leaf.group.flat:
         options = {"min": spread(leaf.min), "max": spread(leaf.max), "scale": spread(leaf.scale)}
         return State(leaf.name, (count, *leaf.shape), **ends, **options)

@@ -19,7 +19,7 @@ _STEPS = 400
 
 
 def fitted_capsule(mesh: Any) -> Capsule:
-    """A capsule that contains a mesh, of small volume.
+    r"""A capsule that contains a mesh, of small volume $\pi r^2 (l + 4 r / 3)$ for the radius r and the length l.
 
     The axis starts along a principal axis of the corners, and a simplex search turns it to the least volume. Around an
     axis the radius is that of the least circle around the projections, and the ends are as near as the corners allow.

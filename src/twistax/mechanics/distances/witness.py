@@ -32,7 +32,8 @@ from .solids import HalfSpace
 class WitnessPoints:
     """The nearest points of two solids, as expressions. Made by `witness_points`.
 
-    Where the solids overlap, moving the second one by -distance along the normal makes them touch.
+    They satisfy $p_b = p_a + d n$ with the distance d and the normal n. Where the solids overlap, moving the second one
+    by $-d n$ makes them touch.
 
     Attributes:
         on_a, on_b: (3,), m, on the first and on the second solid, in the frame of the poses.
