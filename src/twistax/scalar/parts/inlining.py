@@ -38,7 +38,8 @@ def _iterated(eqn: Any, values: list[Any]) -> list[Any]:
     """The results of a scan, iteration by iteration."""
     fixed, carried = scan_parts(eqn)
     length, body = eqn.params["length"], closed(eqn.params["jaxpr"])
-    state, rows = values[fixed : fixed + carried], [None] * length
+    state = values[fixed : fixed + carried]
+    rows: list[Any] = [None] * length
     for k in reversed(range(length)) if eqn.params["reverse"] else range(length):
         at = [a[k] for a in values[fixed + carried :]]
         results = _evaluate(body, *values[:fixed], *state, *at, unroll=True)
