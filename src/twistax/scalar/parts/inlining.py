@@ -39,7 +39,7 @@ def _iterated(eqn: Any, values: list[Any]) -> list[Any]:
     fixed, carried = scan_parts(eqn)
     length, body = eqn.params["length"], closed(eqn.params["jaxpr"])
     state = values[fixed : fixed + carried]
-    rows: list[list[Any]] = [[]] * length
+    rows: list[Any] = [None] * length
     for k in reversed(range(length)) if eqn.params["reverse"] else range(length):
         at = [a[k] for a in values[fixed + carried :]]
         results = _evaluate(body, *values[:fixed], *state, *at, unroll=True)
