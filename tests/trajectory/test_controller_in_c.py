@@ -23,7 +23,7 @@ def built(command: list[str]) -> None:
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize("flags", [("-O0",), ("-O1", "-fsanitize=undefined,address", "-fno-sanitize-recover")])
+@pytest.mark.parametrize("flags", [("-O0",), ("-O0", "-fsanitize=undefined,address", "-fno-sanitize-recover")])
 @pytest.mark.parametrize(("problem", "memory"), [(regulator, 0), (pointing, 256 * 1024)], ids=["regulator", "pointing"])
 def test_iterates_are_those_of_python(problem: Any, memory: int, flags: tuple[str, ...], tmp_path: Path) -> None:
     controller = full(problem())
