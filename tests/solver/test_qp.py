@@ -277,3 +277,19 @@ def test_a_cost_that_is_not_convex_is_refused(H: list[list[float]]) -> None:
     solution = solve_qp(H, [1.0, 1.0], lower=[-1.0, -1.0], upper=[1.0, 1.0])
     assert solution.status is QPStatus.NOT_CONVEX
     np.testing.assert_array_equal(solution.x, 0.0)
+
+
+@pytest.mark.parametrize("seed", [0, 5, 7, 12])
+def test_little_curvature_along_the_rows_takes_few_steps(seed: int) -> None:
+    """The weights of rows round by more than the curvature of a millionth: once 42 steps, or a false UNBOUNDED."""
+    rng = np.random.default_rng(seed)
+    J = np.diag([30.0, 10.0]) @ rng.normal(size=(2, 20))
+    H, g = J.T @ J + 10.0 ** (-2 - seed % 5) * np.eye(20), rng.normal(size=20)
+    A, b = rng.normal(size=(6, 20)), 0.01 * rng.normal(size=6)
+    solution = solve_qp(H, g, A, b)
+    assert solution.status is QPStatus.SOLVED
+    assert solution.iterations <= 3
+    null = np.linalg.svd(A)[2][6:].T
+    start = np.linalg.pinv(A) @ b
+    exact = start - null @ np.linalg.solve(null.T @ H @ null, null.T @ (g + H @ start))
+    np.testing.assert_allclose(solution.x, exact, rtol=0.0, atol=1e-6 * np.abs(exact).max())
