@@ -182,6 +182,23 @@ def test_fitted_spheres_contain_the_hull(count: int) -> None:
     assert count == 1 or volume < 0.5 * fitted_spheres(cloud(), 1)[0].radius ** 3
 
 
+def test_fitted_spheres_of_many_corners_stay_small() -> None:
+    points = np.random.default_rng(4).normal(size=(400, 3))
+    corners = points / np.linalg.norm(points, axis=1)[:, None] * [1.0, 0.3, 0.2]
+    spheres = fitted_spheres(corners, 5)
+    away = [np.linalg.norm(corners - ball.at[:3, 3], axis=1) - ball.radius for ball in spheres]
+    assert np.min(away, axis=0).max() < 1e-9
+
+
+@pytest.mark.parametrize("pair", [("sphere", "box"), ("box", "box")])
+def test_solids_with_one_centre_have_no_nan(pair: tuple[str, str]) -> None:
+    same = np.tile(np.eye(4), (100, 1, 1))
+    near = lowered(pair)(same, same)
+    assert all(np.isfinite(np.asarray(value)).all() for value in near.values())
+    if pair == ("box", "box"):
+        np.testing.assert_allclose(np.linalg.norm(np.asarray(near["n"]), axis=1), 1.0)
+
+
 def test_clearances_of_links_with_cylinders() -> None:
     arm = tx.mechanics.chain_models.equal_links(3)
     pairs = clearances(arm, {"joint0": Cylinder(0.05, 0.3), "joint2": Sphere(0.05)}, far=0.5)
@@ -191,7 +208,7 @@ def test_clearances_of_links_with_cylinders() -> None:
 
 def test_what_is_refused(unchecked: None) -> None:
     grid = DistanceGrid([np.linspace(-1.0, 1.0, 5)] * 3, np.zeros((5, 5, 5)))
-    with pytest.raises(ModelError, match="Sphere, Capsule, Box or Cylinder"):
+    with pytest.raises(ModelError, match="expects a Sphere beside a DistanceGrid, got Cylinder"):
         witness_points(grid, Cylinder(0.1, 0.2))
     with pytest.raises(InputError, match="span a volume"):
         fitted_capsule(np.zeros((5, 3)))

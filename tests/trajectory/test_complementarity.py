@@ -124,6 +124,17 @@ def test_relaxations_are_numbers_and_compile_nothing(caplog: pytest.LogCaptureFi
     assert "relaxations" not in at_once.message
 
 
+@pytest.mark.parametrize("value", [0.0, -1.0])
+def test_a_relaxation_that_is_not_positive_is_refused_by_solve(value: float) -> None:
+    with pytest.raises(ModelError, match="relaxation 'contact relaxation' must be a positive number"):
+        hopper().solve(params={"contact relaxation": value})
+
+
+def test_a_name_that_a_contact_takes_is_refused() -> None:
+    with pytest.raises(ModelError, match="'toe: gap' is a part of 'toe'"):
+        tx.System(rates={z: vz, vz: N}, constraints={"toe": Contact(z, N), "toe: gap": z >= 0.1})
+
+
 def test_one_solve_with_the_last_relaxation_where_the_strategy_is_left_out() -> None:
     strategies = [it for it in Strategy if it is not Strategy.LOWERED_RELAXATIONS]
     counts = list[int]()

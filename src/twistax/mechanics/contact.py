@@ -178,6 +178,8 @@ class Ground:
         """
         number("Ground.bristles: deflection", deflection, "a positive number", lambda a: 0.0 < a < np.inf, ModelError)
         number("Ground.bristles: damping", damping, "a number not below zero", lambda a: 0.0 <= a < np.inf, ModelError)
+        if isinstance(frames, Mapping):
+            raise ModelError("Ground.bristles expects names of frames, got a dict of shapes.\n  fix: use wrenches")
         if callable(self.height):
             raise ModelError("Ground.bristles expects a level ground, got a height field.\n  fix: use wrenches")
         if not self.friction:
@@ -223,9 +225,9 @@ class Ground:
                 f = self.force(mechanism.pose(name, q)[:3, 3], twist[:3])
                 wrenches[name] = _at_origin(mechanism, name, q, f)
                 continue
-            ball, T = rounded("Ground.wrenches", frames[name]), mechanism.pose(name, q)
-            if len(ball.directions) > 1:
+            if not isinstance(frames[name], (Sphere, Capsule)):
                 raise ModelError(f"Ground.wrenches expects a Sphere or a Capsule, got {short(frames[name])}")
+            ball, T = rounded("Ground.wrenches", frames[name]), mechanism.pose(name, q)
             forces = []
             for centre in ball.corners @ ball.at[:3, :3].T + ball.at[:3, 3]:
                 arm = T[:3, :3] @ centre

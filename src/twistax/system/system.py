@@ -335,7 +335,10 @@ def constraints_by_name(constraints: Asked | Iterable[Asked] | Mapping[str, Aske
             named[free_name(repr(hard(constraint)), named)] = constraint
     for name, value in list(named.items()):
         if isinstance(value, ConstraintSet):
-            named |= {f"{name}: {part}": constraint for part, constraint in named.pop(name).named().items()}
+            parts = {f"{name}: {part}": constraint for part, constraint in named.pop(name).named().items()}
+            if taken := sorted(parts.keys() & named.keys()):
+                raise ModelError(f"constraints: {taken[0]!r} is a part of {name!r}, and another constraint's name")
+            named |= parts
     for name, constraint in named.items():
         refuse_conditions("a system", constraint)
         if not isinstance(constraint, (Constraint, Soft)):

@@ -225,7 +225,8 @@ def _separation(a: Core, b: Core, Va: jax.Array, Vb: jax.Array, R: jax.Array, p:
         gap_of_b = jnp.min(of_b, axis=1) - jnp.max(of_a, axis=1)
         gap_of_a = jnp.min(of_a, axis=1) - jnp.max(of_b, axis=1)
         gaps.append(jnp.where(skew, jnp.maximum(gap_of_b, gap_of_a), -_FAR))
-    return jnp.max(jnp.concatenate(gaps))
+    every = jnp.concatenate(gaps)
+    return every[jnp.argmax(every)]  # of equal gaps the slope of one, for their mean may be zero
 
 
 def _directions(edges: NDArray[np.float64]) -> NDArray[np.float64]:

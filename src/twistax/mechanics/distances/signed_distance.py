@@ -31,7 +31,7 @@ from ...expr import Abs, Constant, Cross, Dot, Expr, Max, Min, Sqrt, Where
 from ...expr.fields import ExprLike
 from ...expr.functions.function import Function
 from ...expr.lie import Compose, Inverse
-from ...view import Box, Cylinder, Shape
+from ...view import Box, Cylinder, Shape, Sphere
 from ..arguments import pose
 from .cylinder import over_plane, prism_around, to_segment
 from .distance_grid import DistanceGrid
@@ -123,8 +123,8 @@ def placed_pair(owner: str, a: Solid, b: Solid, T_a: ExprLike | None, T_b: ExprL
     swapped = isinstance(a, (HalfSpace, DistanceGrid)) or (isinstance(b, Cylinder) and not isinstance(a, Cylinder))
     first, second = (b, a) if swapped else (a, b)
     if isinstance(second, DistanceGrid):
-        one: Any = rounded(owner, first)
-        if one.half.any():
+        one: Any = rounded(owner, first) if isinstance(first, Sphere) else None
+        if one is None:
             raise ModelError(
                 f"{owner} expects a Sphere beside a DistanceGrid, got {short(first)}.\n  fix: several spheres"
             )

@@ -54,7 +54,7 @@ def witness_points(a: Solid, b: Solid, T_a: ExprLike | None = None, T_b: ExprLik
     $p_a = n \times m + h_a(n)\, n$ and $p_b = p_a + d n$, where $h_a$ is the support function of a. Where several pairs
     of points are nearest, as for parallel faces, they are one of these pairs, or a mean of some. Derivatives are exact
     away from changes of the nearest features. Points and normal are not determined where a point or a segment meets the
-    core of the other solid, such as the centres of two spheres.
+    core of the other solid, such as the centres of two spheres: there the normal may be zero, and nothing is NaN.
 
     Source: Boyd, Vandenberghe, Convex Optimization (2004), section 8.2.2: the normal separates by the supports.
 
@@ -88,8 +88,9 @@ def _points_of(pair: Pair) -> Callable[[Any], Any]:
 
     def points(T: jax.Array) -> jax.Array:
         d, G = value_and_slope(T)
+        size = root(jnp.sum(G[:3, 3] ** 2))
+        G = G / jnp.where(size > 0.0, size, 1.0)
         n = G[:3, 3]
-        n = n / root(jnp.sum(n**2))
         m = jnp.sum(jnp.cross(T[:3, :].T, G[:3, :].T), axis=0)
         p = jnp.cross(n, m) + _support(pair.a, n) * n
         return jnp.concatenate([p, p + d * n, n, d[None]])

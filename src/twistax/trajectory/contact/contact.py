@@ -22,8 +22,9 @@ class Friction:
     r"""Coulomb friction of a `Contact` with the normal force N: $|f| \le \mu N$, and f dissipates as much power as it
     can, $\mu N |v| + f \cdot v \le \epsilon$.
 
-    Where the point slips, f is thus $-\mu N v / |v|$; where it sticks, any force within the cone. In space $|v|$ is the
-    largest $d_i \cdot v$ over eight directions $d_i$, at least $0.92\,|v|$.
+    Where the point slips in a plane, f is thus $-\mu N v / |v|$; where it sticks, any force within the cone. In space
+    $|v|$ is the largest $d_i \cdot v$ over eight directions $d_i$, at least $0.92\,|v|$: so f may be 23 degrees off
+    $-v$, and dissipates at least 0.92 of the greatest power.
 
     Source: D. E. Stewart, J. C. Trinkle, An implicit time-stepping scheme for rigid body dynamics with inelastic
     collisions and Coulomb friction, International Journal for Numerical Methods in Engineering 39 (1996), the principle
@@ -85,9 +86,10 @@ class Contact(ConstraintSet):
     transcription by `tx.trajectory.Collocation(tx.tableaus.RADAU_IIA1)` is that method, in which impacts are inelastic
     and take one interval. Multiple shooting has impacts at the nodes alone, where they are soft.
 
-    `problem.solve()` starts from a relaxation $\epsilon$ of a tenth of a typical product and lowers it tenfold, with a
-    warm start each time, down to the value of its parameter; nothing compiles again. `result.complementarity` says what
-    products are left. A solve with a warm start, `solve_many`, `solution` and controllers use the last value at once.
+    `problem.solve()` starts from a relaxation $\epsilon$ of a hundredth of a typical product. Each further one is 0.3
+    of the one before, from a warm start, down to the value of its parameter; nothing compiles again.
+    `result.complementarity` says what products are left. A solve with a warm start, `solve_many`, `solution` and
+    controllers use the last value at once.
 
     Sources: M. Posa, C. Cantu, R. Tedrake, A direct method for trajectory optimization of rigid bodies through contact,
     International Journal of Robotics Research 33 (2014), equations (10) to (14); S. Scholtes, Convergence properties

@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from ...checks import number
+from ...errors import ModelError
 from ...expr import Parameter, leaves_of
 from ...expr.operations.comparisons import Complementarity
 from ...jax_inside import in_double
@@ -106,11 +108,14 @@ def lowered(problem: Any, options: Any, solve: Callable[[Any], Any]) -> Any:
 
 
 def _last(problem: Any, changed: Mapping[str, Any]) -> dict[str, float]:
-    """The values of the parameters that are relaxations."""
+    """The values of the parameters that are relaxations. Raises ModelError for one that is not positive."""
     leaves = {leaf.name for limit in relaxations(problem).values() for leaf in leaves_of(limit)}
     free = {box.name for box in problem.border.boxes}
     values = problem.values(changed)
-    return {name: float(values[name]) for name in sorted(leaves - free) if name in values}
+    last = {name: float(values[name]) for name in sorted(leaves - free) if name in values}
+    for name, value in last.items():
+        number(f"solve: relaxation {name!r}", value, "a positive number", lambda e: 0.0 < e < np.inf, ModelError)
+    return last
 
 
 def _typical(problem: Any, options: Any) -> float:
