@@ -30,7 +30,7 @@ from .solids import HalfSpace
 
 @dataclasses.dataclass(frozen=True)
 class WitnessPoints:
-    """The nearest points of two solids, $b = a + d n$, as expressions. Made by `witness_points`.
+    """The nearest points of two solids, as expressions. Made by `witness_points`.
 
     They satisfy $p_b = p_a + d n$ with the distance d and the normal n. Where the solids overlap, moving the second one
     by $-d n$ makes them touch.
