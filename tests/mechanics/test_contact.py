@@ -150,3 +150,9 @@ def test_balls_and_capsules_touch_the_ground_with_their_surface(unchecked: None)
     np.testing.assert_allclose(lying[:3, :3] @ of_rod[3:], [0.0, -20.0, 0.0], rtol=1e-4, atol=1e-9)  # 0.1 m off
     with pytest.raises(tx.errors.ModelError, match="Sphere or a Capsule"):
         GROUND.wrenches(robot, {"block": cast(Any, tx.view.Box((0.1, 0.1, 0.1)))})
+
+
+@pytest.mark.parametrize("height", [tx.Parameter("rise", value=2.0), tx.Time(), tx.State("w", (2,))], ids=repr)
+def test_a_height_field_of_more_than_x_and_y_is_refused(height: Any) -> None:
+    with pytest.raises(tx.errors.ModelError, match="scalar expression of x and y alone"):
+        Ground(height=lambda x, y: height * x).upward(tx.State("p", (3,)))

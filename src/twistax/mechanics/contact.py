@@ -25,6 +25,7 @@ from ..errors import ModelError
 from ..expr import Concat, Constant, Constraint, Control, Cross, Dot, Expr, Max, Norm, Sqrt, State, to_expr
 from ..expr.fields import ExprLike
 from ..expr.functions.function import Function
+from ..expr.graph import other_leaves
 from ..expr.lie import wrench
 from ..system.lower import lower
 from ..view import Capsule, Sphere
@@ -145,7 +146,11 @@ class Ground:
     def _field(self, place: Expr) -> Expr:
         """The height of the ground at a place (3,), and its slopes along x and y: (3,)."""
         xy = State("xy", (2,))
-        height = lower(to_expr(self.height(xy[0], xy[1])))
+        surface = to_expr(self.height(xy[0], xy[1]))
+        others = [leaf for leaf in other_leaves(surface, [xy]) if not isinstance(leaf, Constant)]
+        if surface.check_shape() != () or others:
+            raise ModelError(f"Ground: height expects a scalar expression of x and y alone, got {short(surface)}")
+        height = lower(surface)
         at = jax.value_and_grad(lambda p: height(0.0, {"xy": p}))
         return Function(lambda p: jnp.concatenate([jnp.ravel(v) for v in at(p)]), (3,), name="ground")(place[:2])
 
@@ -216,6 +221,7 @@ class Ground:
         Args:
             frames: names of the frames whose origins touch the ground; or a dict from names to what does, a
                 `tx.view.Sphere`, or a `Capsule`, which touches the ground with the balls at its ends.
+                A ball touches a height field along the normal at its centre: exact where the ground is even under it.
         Raises: ModelError for a frame that is not known, or another shape; ShapeError for positions of another shape.
         """
         wrenches: dict[str, Expr] = {}
