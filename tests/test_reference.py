@@ -46,7 +46,7 @@ NO_ERRORS = {
         mechanics.BaseParameters mechanics.Bristles mechanics.GivenForces mechanics.ReachResult mechanics.ReachStatus
         mechanics.WitnessPoints
         mechanics.Regressor mechanics.Identification mechanics.IdentificationStatus mechanics.DifferentialStep
-        mechanics.OperationalSpace mechanics.StepStatus mechanics.WitnessPoints
+        mechanics.OperationalSpace mechanics.StepStatus
         mechanics.joints.Screws mechanics.environment.earth.Geodetic mechanics.flight.AirData
         mechanics.flight.Gust mechanics.flight.ImuReading trajectory.Discretization trajectory.Linearization
         trajectory.Accuracy trajectory.ControllerLog

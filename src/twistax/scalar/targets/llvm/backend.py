@@ -175,7 +175,7 @@ class KernelRunner:
             return kernel
         # The first is alone: with it the self-test calls JAX, whose settings are those of a thread.
         with concurrent.futures.ThreadPoolExecutor(min(len(rest), os.cpu_count() or 1)) as threads:
-            kernels = [kernel, *filter(None, threads.map(built, rest))]
+            kernels = [kernel, *(made for made in threads.map(built, rest) if made is not None)]
         return joined(kernels) if len(kernels) > len(rest) else None
 
     def without_kernel(self, function: Step, shapes: Shapes) -> str | None:
@@ -191,12 +191,16 @@ class KernelRunner:
             return None if self.arrays(closed, False) else str(error).splitlines()[0]
         return None
 
-    def arrays(self, closed: ClosedJaxpr, checked: bool) -> KernelOfArrays | None:
-        """A function of matrices with kernels that loop over their entries; None where it has no such form."""
+    def arrays(self, closed: ClosedJaxpr, checked: bool, terminates: bool = False) -> KernelOfArrays | None:
+        """A function of matrices with kernels that loop over their entries; None where it has no such form.
+
+        Args:
+            terminates: whether its `while` loops end for all arguments; else there is no such form of them.
+        """
 
         def kernels(closed: ClosedJaxpr) -> Kernels | None:
             try:
-                form = array_form(closed, checked)
+                form = array_form(closed, checked, terminates)
             except (NotNative, TooLarge):
                 return None
             operations = array_operations(closed.jaxpr).total()
@@ -286,6 +290,9 @@ class Native(Backend):
 
     def in_loops(self) -> Backend:
         return _InLoops(self.scalars, self.threads, self.least)
+
+    def of_any_size(self) -> Backend:
+        return dataclasses.replace(self, least=1, scalars=dataclasses.replace(self.scalars, least=1, widest=ANY_SIZE))
 
     def steps(self) -> StepCompiler:
         return StepKernels(self.scalars, self.runner)
