@@ -147,8 +147,8 @@ class Ground:
         """The height of the ground at a place (3,), and its slopes along x and y: (3,)."""
         xy = State("xy", (2,))
         surface = to_expr(self.height(xy[0], xy[1]))
-        others = [leaf for leaf in other_leaves(surface, [xy]) if not isinstance(leaf, Constant)]
-        if surface.check_shape() != () or others:
+        inputs = [leaf for leaf in other_leaves(surface, [xy]) if not isinstance(leaf, Constant)]
+        if surface.check_shape() != () or inputs:
             raise ModelError(f"Ground: height expects a scalar expression of x and y alone, got {short(surface)}")
         height = lower(surface)
         at = jax.value_and_grad(lambda p: height(0.0, {"xy": p}))
