@@ -37,7 +37,8 @@ class NoiseDiscretization(ABC):
 class VanLoan(NoiseDiscretization):
     """$Q = int_0^h exp(F s) G W G^T exp(F s)^T ds$ with F, G and the intensity W in the middle of the step.
 
-    Exact for a linear system with constant coefficients, to the accuracy of a matrix exponential, however stiff.
+    Exact for a linear system with constant coefficients, to the accuracy of a matrix exponential, also where decays are
+    much faster than the step. NaN where the norm of F h is more than about 5e9, in single precision 1e11.
 
     Raises: nothing.
 
@@ -73,7 +74,7 @@ class Trapezoidal(NoiseDiscretization):
 
 #: The terms of the series over the shortest interval.
 _TERMS = 6
-#: How often an interval is doubled at most. More is an F h of 1e9, and gives NaN.
+#: How often an interval is doubled at most. More is an F h of 5e9, in single precision 1e11, and gives NaN.
 _MOST_DOUBLINGS = 40
 
 

@@ -23,6 +23,8 @@ _DATA_TYPES = {"double": 12, "float": 11, "i64": 5, "i32": 4, "i1": 1}
 
 #: What other threads cost on a loaded machine is at most about one part in so many of the time of all batches.
 _SHARE = 16
+#: The most ns that other threads of one batch are taken to have cost.
+_MOST_LOST = 100_000_000
 
 #: Declarations of functions of LLVM and of the C library.
 _DECLARED = {
@@ -100,6 +102,7 @@ def write_host_handler(module: Module, body: BatchFunction, threads: int) -> Non
         threads=threads,
         clock=getattr(time, "CLOCK_MONOTONIC", 1),  # Windows has neither the function nor kernels
         share=_SHARE,
+        most=_MOST_LOST,
     )
     module.declarations |= _DECLARED
     module.library |= {"malloc", "free", "sched_yield", "clock_gettime"}

@@ -29,10 +29,13 @@ ret void
 ; A job is the next row that nobody has taken, all rows, rows that are done, holders; then its table.
 ; On a machine with other load a thread may wait for its processor with a chunk half done, a thousand times as long as a
 ; small batch takes. What a batch took longer, in ns, than one thread would have needed is a debt: by the share of the
-; rows that the thread that started worked on, or by the last batch without other threads if that was faster. Batches run
-; without other threads until 1/$share of their time has paid it.
+; rows that the thread that started worked on, or by the last batch without other threads if that was faster. Batches of at
+; most as many rows run without other threads until 1/$share of their time has paid it: larger ones may well gain. No more
+; than $most ns are a debt, as no thread waits longer for a processor: the process was stopped meanwhile.
 
 @debt = internal global i64 0
+; Rows of the batch that made the debt.
+@debtor = internal global i64 0
 ; ns for 1,024 rows of the last batch without other threads.
 @pace = internal global i64 8589934592
 
@@ -132,7 +135,10 @@ ret ptr null
 many:
 %debt = load atomic i64, ptr @debt monotonic, align 8
 %owing = icmp sgt i64 %debt, 0
-br i1 %owing, label %paying, label %asked
+%debtor = load atomic i64, ptr @debtor monotonic, align 8
+%no.larger = icmp ule i64 %rows, %debtor
+%pays = and i1 %owing, %no.larger
+br i1 %pays, label %paying, label %asked
 paying:
 %before = call i64 @now()
 call void @run(ptr %table, i64 0, i64 %rows)
@@ -216,7 +222,14 @@ leave:
 %by.pace = lshr i64 %at.pace, 10
 %alone.ns = call i64 @llvm.umin.i64(i64 %by.one, i64 %by.pace)
 %lost = sub i64 %taken, %alone.ns
-store atomic i64 %lost, ptr @debt monotonic, align 8
+%slower = icmp sgt i64 %lost, 0
+br i1 %slower, label %owed, label %left
+owed:
+%counted = call i64 @llvm.umin.i64(i64 %lost, i64 $most)
+store atomic i64 %counted, ptr @debt monotonic, align 8
+store atomic i64 %rows, ptr @debtor monotonic, align 8
+br label %left
+left:
 %absent = sub i64 %holders, %running
 %mine = add i64 %absent, 1
 call void @release(ptr %job, i64 %mine)
