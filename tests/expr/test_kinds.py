@@ -280,3 +280,9 @@ def test_a_map_with_other_batches_is_no_false_alarm() -> None:
     world, body = (tx.Parameter(name, (5, 3), kind=vector(name)) for name in ("world", "body"))
     squares = tx.Vmap(lambda p: p @ p, world)
     tx.System(rates={p: v, v: -1.0 * v}, outputs={"a": squares, "b": squares.with_children([body])})
+    back = tx.Vmap(lambda p: -p, world)
+    sums = {"c": back + world, "d": back.with_children([body]) + body}
+    tx.System(rates={p: v, v: -1.0 * v}, outputs=sums)
+    alike = back.with_children([tx.Parameter("other", (5, 3), kind=vector("world"))])
+    with pytest.raises(tx.KindError, match="two frames meet"):
+        tx.System(rates={p: v, v: -1.0 * v}, outputs=sums | {"wrong": alike + body})

@@ -130,7 +130,9 @@ def _doubled_jvp(primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
     count, *start = primals
 
     def double(state: Any, k: jax.Array) -> tuple[Any, None]:
-        return jax.tree.map(lambda new, old: jnp.where(k < count, new, old), _doubling(*state), state), None
+        # What is doubled once more than needed may be beyond all numbers, and a reverse pass multiplies it by zero.
+        doubled = _doubling(*(jnp.where(k < count, old, jnp.zeros_like(old)) for old in state))
+        return jax.tree.map(lambda new, old: jnp.where(k < count, new, old), doubled, state), None
 
     def scanned(change: jax.Array, Q: jax.Array) -> jax.Array:
         return jax.lax.scan(double, (change, Q), jnp.arange(_MOST_DOUBLINGS, dtype=count.dtype))[0][1]

@@ -135,15 +135,16 @@ def _many(leaf: Any, count: int) -> Leaf:
     def spread(value: Any) -> Any:
         return None if value is None else np.broadcast_to(value, (count, *np.shape(value)))
 
+    facts = {"kind": leaf.kind, "unit": leaf.unit}
     if isinstance(leaf, Parameter):
-        return Parameter(leaf.name, (count, *leaf.shape), value=spread(leaf.value))
+        return Parameter(leaf.name, (count, *leaf.shape), value=spread(leaf.value), **facts)
     guess = leaf.guess
     if guess is not None:
         guess = spread(guess) if guess.ndim == len(leaf.shape) else np.stack([guess] * count, axis=1)
     if isinstance(leaf, Control):
         options = {"min": spread(leaf.min), "max": spread(leaf.max), "scale": spread(leaf.scale)}
-        return Control(leaf.name, (count, *leaf.shape), guess=guess, **options)
-    ends = {"initial": spread(leaf.initial), "final": spread(leaf.final), "guess": guess}
+        return Control(leaf.name, (count, *leaf.shape), guess=guess, **options, **facts)
+    ends = facts | {"initial": spread(leaf.initial), "final": spread(leaf.final), "guess": guess}
     if leaf.group.flat:
         options = {"min": spread(leaf.min), "max": spread(leaf.max), "scale": spread(leaf.scale)}
         return State(leaf.name, (count, *leaf.shape), **ends, **options)

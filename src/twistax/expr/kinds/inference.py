@@ -57,6 +57,8 @@ class Inference:
         self._of_names: dict[str, int] = {}
         self._units: dict[int, Unit | None] = {_UNKNOWN: None}
         self._free: dict[int, bool] = {}
+        #: From elements of batches to the number of the batch with which they were read first.
+        self._batches: dict[int, int] = {}
         #: Nodes, vectors that can be in no frame, and what makes them so.
         self._unframed: list[tuple[Expr, Expr, Expr]] = []
         for leaf in leaves:
@@ -74,14 +76,13 @@ class Inference:
             if id(node) in self._free:
                 continue
             rule = node.kinds or OPEN
-            if rule.maps:
-                self._elements(node)
+            knows = rule.maps and self._elements(node)
             for body in bodies(node):
                 self._read(postorder(body))
             if isinstance(node, Leaf):
                 self._leaf(node)
             elif rule.maps:
-                self._mapped(node)
+                self._mapped(node, knows)
                 self._known_as(node)
             else:
                 self._node(node, rule)
@@ -171,26 +172,43 @@ class Inference:
         if made is not None:
             self._fix(self._spaces, end - node.ndim, AxisFact(made, node, -node.ndim, node))
 
-    def _elements(self, node: Any) -> None:
-        """What batches say of the elements in the body of a map."""
-        for batch, element in zip(node.batches, node.placeholders, strict=True):
-            read = id(element) in self._free
-            self._leaf(element)
-            # A body that is read with other batches says nothing of these.
-            if read or self._free[id(batch)]:
-                continue
-            self._units[self._ends[id(element)]] = self._units[self._ends[id(batch)]]
-            for axis in range(-element.ndim, 0):
-                mapped = node.axis - batch.ndim
-                self._same(node, (element, axis), (batch, axis if axis > mapped else axis - 1))
+    def _elements(self, node: Any) -> bool:
+        """What batches say of the elements in the body of a map; whether the body says something of these batches.
 
-    def _mapped(self, node: Any) -> None:
-        """The value of a map, from that of its body."""
+        Substitution makes maps of one body over several batches: the body has the frames and units of the first ones.
+        """
+        all_alike = True
+        for batch, element in zip(node.batches, node.placeholders, strict=True):
+            read, mapped = id(element) in self._free, node.axis - batch.ndim
+            self._leaf(element)
+            first, end = self._batches.setdefault(id(element), self._ends[id(batch)]), self._ends[id(batch)]
+            axes = [(axis, axis if axis > mapped else axis - 1) for axis in range(-element.ndim, 0)]
+            if read:
+                all_alike = all_alike and (first == end or self._alike(element, batch, axes))
+            elif not self._free[id(batch)]:
+                self._units[self._ends[id(element)]] = self._units[end]
+                for axis, its_axis in axes:
+                    self._same(node, (element, axis), (batch, its_axis))
+        return all_alike
+
+    def _alike(self, element: Expr, batch: Expr, axes: Sequence[tuple[int, int]]) -> bool:
+        """Whether an element has the unit, the spaces and the frames, some of them known, of another batch."""
+        one, other = self._ends[id(element)], self._ends[id(batch)]
+        if self._units[one] != self._units[other]:
+            return False
+        frames, spaces = (
+            [[known and known.fact for known in (c.known(one + a), c.known(other + b))] for a, b in axes]
+            for c in (self._frames, self._spaces)
+        )
+        return all(a == b for a, b in [*frames, *spaces]) and (not axes or any(a for a, _ in frames))
+
+    def _mapped(self, node: Any, knows: bool) -> None:
+        """The value of a map, from that of its body if that says something of these batches."""
         end, body = self._numbered(node), node.body
         self._ends[id(node)] = end
         self._free[id(node)] = self._free[id(body)] and all(self._free[id(batch)] for batch in node.batches)
-        self._units[end] = self._units[self._ends[id(body)]]
-        if not self._free[id(body)]:
+        self._units[end] = self._units[self._ends[id(body)]] if knows else None
+        if knows and not self._free[id(body)]:
             for axis in range(-body.ndim, 0):
                 self._same(node, (node, axis), (body, axis))
 
