@@ -127,7 +127,7 @@ class Filter(ABC):
 
     @functools.cached_property
     def _corrected(self) -> Mapping[str, Callable[[OperatingPoint, jax.Array, jax.Array], Update]]:
-        """`corrected` of each measurement, where z has no NaN, as one kernel where it can be."""
+        """`corrected` of each measurement, where z is finite, as one kernel where it can be."""
 
         def correction(name: str) -> Callable[[OperatingPoint, jax.Array, jax.Array], Update]:
             of = self.in_arrays if self.in_scalars else self
@@ -163,7 +163,7 @@ class Filter(ABC):
     def update(
         self, name: str, t: Any, x: Values, P: Any, z: Any, u: Values | None = None, params: Values | None = None
     ) -> Update:
-        """The estimate after the value z of a measurement at time t; unchanged where z has a NaN. Traceable.
+        """The estimate after the value z of a measurement at time t; unchanged where z is not finite. Traceable.
 
         Raises:
             InputError, ShapeError: as a call of the dynamics does; an unknown measurement; a value of another shape.
