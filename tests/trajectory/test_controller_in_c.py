@@ -18,6 +18,11 @@ pytestmark = pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")
 COMPILE = ("gcc", "-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror")
 
 
+def workspace(header: str) -> int:
+    """Bytes."""
+    return int(re.search(r"Workspace: (\d+)", header)[1])  # type: ignore[index]
+
+
 def built(command: list[str]) -> None:
     done = subprocess.run([*COMPILE, *command], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
@@ -39,7 +44,8 @@ def test_iterates_are_those_of_python(problem: Any, memory: int, flags: tuple[st
 
 
 def test_it_allocates_nothing_and_has_the_size_that_the_header_states(tmp_path: Path) -> None:
-    files = regulator().controller(max_iterations=3).to_c(tmp_path, name="loop", memory=0)
+    controller = regulator().controller(max_iterations=3)
+    files = controller.to_c(tmp_path, name="loop", memory=0)
     made = tmp_path / "loop.o"
     built(["-O0", "-c", str(files.source), "-o", str(made)])
     names = subprocess.run(["nm", str(made)], capture_output=True, text=True, check=True).stdout
@@ -48,12 +54,15 @@ def test_it_allocates_nothing_and_has_the_size_that_the_header_states(tmp_path: 
     external = re.findall(r" [TDBRC] (\w+)", names)
     assert all(name.startswith("loop_") for name in external)
     header = files.header.read_text()
-    size = int(re.search(r"Workspace: (\d+) bytes", header)[1])  # type: ignore[index]
+    size = workspace(header)
     assert "at most 3 iterations" in header
     assert size < 21_000  # derivatives are taken in memory of the linear system, few intervals at a time
     check = tmp_path / "size.c"
     check.write_text(f'#include "loop.h"\ntypedef char exact[sizeof(loop_controller) == {size} ? 1 : -1];\nexact x;\n')
     built(["-c", str(check), "-o", str(tmp_path / "size.o")])
+    fast = workspace(controller.to_c(tmp_path / "fast", name="loop").header.read_text())
+    assert 1.2 * size < fast < 256 * 1024  # all intervals together
+    assert workspace(controller.to_c(tmp_path / "less", name="loop", memory=fast - 1).header.read_text()) == size
 
 
 def test_parameters_and_time_limits_count(tmp_path: Path) -> None:
@@ -62,7 +71,7 @@ def test_parameters_and_time_limits_count(tmp_path: Path) -> None:
     target = tmp_path / "loop.so"
     built(["-O0", "-shared", "-fPIC", str(files.source), "-lm", "-o", str(target)])
     library = ctypes.CDLL(str(target))
-    memory = np.zeros(int(re.search(r"Workspace: (\d+)", files.header.read_text())[1]) // 8)  # type: ignore[index]
+    memory = np.zeros(workspace(files.header.read_text()) // 8)
     pointer = lambda a: ctypes.c_void_p(a.ctypes.data)  # noqa: E731
     library.loop_init(pointer(memory))
     reference, weight, u = np.linspace(0.0, 2.0, 13), np.array([0.3]), np.zeros(1)

@@ -371,7 +371,10 @@ class Controller:
 
     @property
     def measures(self) -> dict[str, float]:
-        """Measures of the last solve: cost, error, violation, iterations and others, in scales of the solver."""
+        """Measures of the last solve: cost, error, violation, iterations and others, in scales of the solver.
+
+        A controller ends at the first-order conditions: `excess` is NaN and `minimum` 0, which says nothing of the plan.
+        """
         return self.prepared.measures
 
 
