@@ -373,7 +373,7 @@ class Controller:
     def measures(self) -> dict[str, float]:
         """Measures of the last solve: cost, error, violation, iterations and others, in scales of the solver.
 
-        A controller ends at the first-order conditions: `excess` is NaN and `minimum` 0, which says nothing of the plan.
+        A controller ends at the first-order conditions: `excess` is NaN, and `minimum` is 0 for a minimum too.
         """
         return self.prepared.measures
 
