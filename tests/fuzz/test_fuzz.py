@@ -173,7 +173,7 @@ def test_errors_can_still_be_put_back(row: tuple[str, str, str]) -> None:
 def test_a_term_without_a_form_leaves_the_others_theirs(monkeypatch: pytest.MonkeyPatch) -> None:
     """What draws random numbers has no kernel; what is compiled with it keeps its own."""
 
-    def broken(*_: Any) -> None:
+    def broken(*_: Any, **__: Any) -> None:
         raise RuntimeError("a kernel is made")
 
     random = "jax.random.normal(jax.random.key(3), a.shape, jnp.float32).astype(a.dtype)"

@@ -90,7 +90,7 @@ def relaxed(k: float, t: np.ndarray) -> np.ndarray:
 
 
 #: The steps of the fit, by order: errors stay above round-off.
-COUNTS = {3: (40, 56, 80), 4: (24, 34, 48), 5: (14, 20, 28), 6: (7, 9, 12), 9: (3, 4, 5)}
+COUNTS = {1: (120, 160, 220), 3: (40, 56, 80), 4: (24, 34, 48), 5: (14, 20, 28), 6: (7, 9, 12), 9: (3, 4, 5)}
 
 
 def fitted_order(method: tx.ImplicitRKMK, counts: tuple[int, ...]) -> float:

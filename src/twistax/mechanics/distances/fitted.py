@@ -6,8 +6,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
-from scipy.spatial import ConvexHull
 
 from ...checks import whole
 from ...errors import ModelError
@@ -32,6 +30,8 @@ def fitted_capsule(mesh: Any) -> Capsule:
     Example:
         `signed_distance(fitted_capsule(Mesh("forearm.stl")), HalfSpace(), arm.pose("forearm"))`
     """
+    from scipy.optimize import minimize  # not at import: it is large
+
     points = _corners(mesh)
 
     def volume(direction: NDArray[np.float64]) -> float:
@@ -83,6 +83,8 @@ def _corners(mesh: Any) -> NDArray[np.float64]:
 
 def _halves(points: NDArray[np.float64], heights: NDArray[np.float64]) -> list[NDArray[np.float64]]:
     """Points whose hulls together are that of the points, below and above height zero."""
+    from scipy.spatial import ConvexHull
+
     below, above = points[heights <= 0.0], points[heights > 0.0]
     low, high = heights[heights <= 0.0], heights[heights > 0.0]
     share = (-low[:, None] / (high[None] - low[:, None]))[..., None]

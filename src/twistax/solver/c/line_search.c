@@ -86,7 +86,7 @@ static twx_outcome backtrack(twx_work *w, twx_search *search, twx_reference *fro
   double length = longest;
   int32_t rejected_by_filter = 0; /* whether the last trial that was rejected was so by the filter alone */
   for (int32_t first = 1;; first = 0, length *= 0.5) {
-    if (!first && length <= smallest) {
+    if (!first && !(length > smallest)) { /* also where overflow makes it no number */
       search->shortened = 0;
       return TWX_NO_STEP;
     }

@@ -72,7 +72,7 @@ static double complementarity(const twx_work *w, double barrier) {
 twx_measures twx_measure_again(const twx_work *w, const twx_measures *of_iterate, double barrier) {
   twx_measures m = *of_iterate;
   m.complementarity = complementarity(w, barrier);
-  m.error = twx_max(m.stationarity / m.dual_scale, twx_max(m.violation, m.complementarity / m.bound_scale));
+  m.error = twx_max(twx_max(m.violation, m.complementarity / m.bound_scale), m.stationarity / m.dual_scale); /* last: infinite beside NaN */
   return m;
 }
 

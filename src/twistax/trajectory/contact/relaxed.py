@@ -64,6 +64,8 @@ def lowered(problem: Any, options: Any, solve: Callable[[Any], Any]) -> Any:
         solve: solves with other options.
     """
     begin = time.perf_counter()
+    if not isinstance(options.params or {}, Mapping):
+        return solve(options)  # which says what it expects
     changed = {name_of(key): value for key, value in (options.params or {}).items()}
     last = _last(problem, changed)
     if not last:
