@@ -22,7 +22,7 @@
 #include <stdint.h>
 
 typedef enum {
-  TWX_SOLVED = 0,            /* the scaled error is at most the tolerance, and so is the excess of the cost */
+  TWX_SOLVED = 0,            /* the scaled error is at most the tolerance; so is the excess of the cost, where measured */
   TWX_MAX_ITERATIONS = 1,
   TWX_INFEASIBLE = 2,        /* a stationary point of the violation */
   TWX_STALLED = 3,           /* the search direction is too small, or the line search fails at a feasible point */
