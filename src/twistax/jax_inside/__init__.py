@@ -7,7 +7,7 @@ Checked with JAX 0.10, 0.11 and 0.12.
 from jax.experimental import jet
 from jax.extend.backend import backends
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, Primitive, jaxpr_as_fun
-from jax.interpreters import ad, batching, mlir, partial_eval
+from jax.interpreters import ad, batching, mlir
 
 from .meshes import is_shared_out, on_axes, shared_out
 from .tracing import (
@@ -19,6 +19,7 @@ from .tracing import (
     batched_branches_transpose,
     by_one_device,
     closed,
+    drops_dead_results,
     expansion,
     in_double,
     inner_jaxprs,

@@ -123,6 +123,14 @@ def with_results(program: ClosedJaxpr, used: Sequence[bool]) -> ClosedJaxpr:
     return ClosedJaxpr(jaxpr, [c for c, keep in zip(program.consts, kept, strict=True) if keep])
 
 
+def drops_dead_results(primitive: Primitive, rule: Callable[[Sequence[bool], Any], tuple[list[bool], Any]]) -> None:
+    """Registers what becomes of an equation of which only some results are read.
+
+    Newer versions of JAX also say, before the equation, which of its arguments are read later on.
+    """
+    partial_eval.dce_rules[primitive] = lambda used, *live_and_equation: rule(used, live_and_equation[-1])
+
+
 def opened(program: ClosedJaxpr) -> tuple[Callable[..., list[Any]], list[Any]]:
     """A jaxpr as a function of the traced values that it closes over, then of its arguments; and those values.
 

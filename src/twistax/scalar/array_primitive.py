@@ -13,9 +13,9 @@ import numpy as np
 from ..jax_inside import (
     ClosedJaxpr,
     Primitive,
+    drops_dead_results,
     jaxpr_as_fun,
     of_one_device,
-    partial_eval,
     spread,
     weakly_kept,
     with_results,
@@ -167,7 +167,7 @@ def _dead_code(used: Sequence[bool], eqn: Any) -> tuple[list[bool], Any]:
     return [True] * len(eqn.invars), eqn
 
 
-partial_eval.dce_rules[_batched_p] = _dead_code
+drops_dead_results(_batched_p, _dead_code)
 
 
 def is_array_program(eqn: Any) -> bool:
