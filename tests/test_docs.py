@@ -86,6 +86,10 @@ def test_blocks_are_executed_once_with_what_they_print_and_draw(
         "from pathlib import Path\nPath('page.html').write_text('<p>')",
         "import twistax as tx\ntx.State('v') + 1.0",
     )
+    # matplotlib warns, here an error, when more than 20 figures are open.
+    figures = "import matplotlib.pyplot as plt\nfor _ in range(15):\n    plt.figure()"
+    others = [execution.Program(name, (figures,)) for name in ("a script", "another")]
+    execution.execute([*others, execution.Program("a page", blocks)])
     for _ in range(2):
         outputs = execution.executed(execution.Program("a page", blocks))
     assert count.read_text() == "x\n"

@@ -137,6 +137,8 @@ def _run(program: Program, folder: Path) -> None:
     (work / "examples").symlink_to(EXAMPLES)
     with contextlib.chdir(work):
         outputs = [_run_block(program, block, module, work) for block in program.blocks]
+    if "matplotlib.pyplot" in sys.modules:  # it warns when figures of many programs are open
+        sys.modules["matplotlib.pyplot"].close("all")
     (work / "outputs.json").write_text(json.dumps(outputs))
     folder.parent.mkdir(parents=True, exist_ok=True)
     with contextlib.suppress(OSError):  # another process was faster
