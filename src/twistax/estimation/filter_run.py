@@ -109,6 +109,7 @@ class FilterRun:
         root = jnp.sqrt(jnp.diagonal(self.P, axis1=-2, axis2=-1))
         return {name: root[..., part] for name, part in self.group.slices.items()}
 
+    @watching("errors")
     def errors(self, truth: Mapping[str, Any]) -> jax.Array:
         """The errors $Log(x^-1 x_true)$, (k, n), of true states by name at the times of the run.
 
@@ -125,6 +126,7 @@ class FilterRun:
             difference = jax.vmap(difference)
         return difference(self.xs, states)
 
+    @watching("errors")
     def nees(self, truth: Mapping[str, Any]) -> jax.Array:
         """The normalised estimation error squared $e^T P^-1 e$, (k,); of mean n for a consistent covariance.
 

@@ -16,6 +16,7 @@ from ...checks import listed
 from ...errors import InputError, in_phase
 from ...jax_inside import is_traced
 from ...plots import Pictured, draw
+from ...progress import watching
 from ...system.dynamics import Arrays
 from ..loop.rollout import wide
 from ..results.solution import AnySolution, Solution, Stats, need_one, need_within, times_to_evaluate
@@ -111,6 +112,7 @@ class PhasedSolution(AnySolution):
             states = {k: jnp.where(wide(after, v), here[k], v) for k, v in states.items() if _alike(here.get(k), v)}
         return states
 
+    @watching("plot")
     def plot(self, *names: Any, units: Mapping[str, str] | None = None) -> Any:
         """The states that all phases have over time, a matplotlib figure with gaps at the joins.
 
