@@ -74,7 +74,9 @@ class FilterRun:
 
     @property
     def result(self) -> str:
-        """What happened, and when: "successful", numbers that are not finite, or a covariance that is not positive."""
+        """The status: "successful", or the failure with its time: non-finite numbers, or a covariance that is not
+        positive semidefinite.
+        """
         P = np.asarray(self.P, float)
         finite = np.isfinite(P).all(axis=(-2, -1))
         for x in self.xs.values():
@@ -152,7 +154,7 @@ class FilterRun:
 
     @watching("smooth")
     def smooth(self, smoother: RauchTungStriebel | FixedLagSmoother | None = None) -> Smoothed:
-        """The states that use later measurements too, all of them by `RauchTungStriebel()`, the default. Traceable."""
+        """Estimates that also use later measurements, by default all of them, by `RauchTungStriebel()`. Traceable."""
         smooth = functools.partial((smoother or RauchTungStriebel()).smooth, self.group)
         for _ in range(self.ts.ndim - 1):
             smooth = jax.vmap(smooth)

@@ -70,7 +70,7 @@ class Leaf(Expr):
         raise NotImplementedError
 
     def check_in_system(self) -> None:
-        """Raise ModelError if it cannot have a value in a system."""
+        """Raise ModelError if this leaf cannot have a value in a system."""
 
     def to_text(self, *operands: str) -> str:
         return self.name
@@ -300,7 +300,7 @@ class Control(Variable):
 
 
 class Parameter(Leaf):
-    """A value fixed during a run and free between runs: mass, inertia, a table.
+    """A value that is constant during a run and may change between runs: mass, inertia, a table.
 
     It is an input of the lowered function, not a constant, unless it is baked in.
 

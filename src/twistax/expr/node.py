@@ -205,7 +205,7 @@ class Expr(Printed, Operators):
         return self.children()
 
     def evaluate_on_demand(self, values: list[jax.Array], branches: Sequence[Callable[[], jax.Array]]) -> jax.Array:
-        """Value from those of the eager children; a branch is evaluated when it is called."""
+        """Value from the values of the eager children; a branch is evaluated when it is called."""
         return self.evaluate(*values)
 
     def simplify(self) -> Expr:

@@ -183,7 +183,7 @@ class PiecewisePolynomial(ControlTable):
     """A control that is a polynomial in time between the times of a table: from ts[i] until ts[i + 1]
     $sum_k values[i, k] (t - ts[i])^k / k!$. The last polynomial continues without end.
 
-    So values[i] contains the value at ts[i] and the right-hand derivatives. There is no value before ts[0].
+    So values[i] has the value at ts[i] and the right-hand derivatives. There is no value before ts[0].
 
     Args:
         ts: (n,) times in s, increasing.

@@ -25,9 +25,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--foreign", action="store_true", help="with --optimal: published problems, compared with plain IPOPT in CasADi"
     )
-    quick = (
-        "minutes in place of an hour: few methods or functions, coarse settings, few repeats, no slow row; "
-    )
+    quick = "minutes in place of an hour: few methods or functions, coarse settings, few repeats, no slow row; "
     parser.add_argument("--quick", action="store_true", help=f"{quick}the longest scenes only by --scene")
     for name, module, names, text in (
         ("scene", "..scenes", "SCENES", "only this scene"),

@@ -45,7 +45,7 @@ class Composable:
     def renamed(self, prefix: str, *, keep: Collection[str] = ()) -> Any:
         """The same system with other names: of states, controls, parameters, outputs and constraints.
 
-        The renamed leaves are new leaves: `left = leg.renamed("left_")` and `right = leg.renamed("right_")` are two
+        The renamed leaves are new objects: `left = leg.renamed("left_")` and `right = leg.renamed("right_")` are two
             legs,
         which `tx.join` combines.
 

@@ -21,7 +21,7 @@ from ..records import Records
 
 @dataclasses.dataclass(frozen=True)
 class Experiment:
-    """What was measured of a system in one go.
+    """The records of one experiment with a system.
 
     Attributes:
         records: by measurement (times (k,), values (k, *shape)), as of a filter's run; a row with a NaN is missing.

@@ -66,7 +66,7 @@ def inverse_dynamics_regressor(
 
         $f = m b + ([a]x + [w]x [w]x) m c, tau = -[b]x m c + (L(a) + [w]x L(w)) I$
 
-    and goes to the base as that of `inverse_dynamics` does.
+    and it is propagated to the base as in `inverse_dynamics`.
 
     Source: C. Atkeson, C. An, J. Hollerbach, Estimation of Inertial Parameters of Manipulator Loads and Links (1986),
     equation 8.

@@ -237,7 +237,7 @@ def _progress(
 
 @dataclasses.dataclass(frozen=True)
 class IPOPT(_Casadi):
-    """IPOPT by CasADi, on this package's transcription: `problem.solve(solver=tx.trajectory.IPOPT())`.
+    """IPOPT, from CasADi, on the transcription of this package: `problem.solve(solver=tx.trajectory.IPOPT())`.
 
     Source: Wachter and Biegler, Mathematical Programming 106 (2006).
 
@@ -267,7 +267,7 @@ class IPOPT(_Casadi):
 
 @dataclasses.dataclass(frozen=True)
 class Fatrop(_Casadi):
-    """Fatrop by CasADi, which factors stage by stage like this package's own solver.
+    """Fatrop, from CasADi, an interior-point method with a factorisation by stages, like the solver of this package.
 
     Source: Vanroye, Sathya, De Schutter, Decre, FATROP, arXiv:2303.16746.
 

@@ -38,7 +38,7 @@ _FINER = "solve(refine=1e-4), more nodes or substeps, for stiff rates Collocatio
 
 @dataclasses.dataclass(frozen=True)
 class Optimality:
-    """How far a trajectory is from the first-order (KKT) conditions of an optimum, in scaled form.
+    """Errors of the first-order (KKT) conditions of an optimum, in scaled form.
 
     The scale of an unknown is its change along the trajectory; that of the objective is its change with these
     changes.
@@ -124,8 +124,8 @@ class Quality:
 
     @functools.cached_property
     def undetermined(self) -> dict[str, Array]:
-        """Controls that the optimum does not determine: name of an entry -> (intervals,) the fraction, 0 to 1, of a
-        change of it that has no effect.
+        """Controls that the optimum does not determine: name of an entry -> (intervals,) the fraction, 0 to 1, of its
+        change that has no effect.
 
         A change has no effect if constraints remain satisfied and the objective is constant, to second
         order. Empty where the status is not SOLVED, and where the Hessian is not exact.

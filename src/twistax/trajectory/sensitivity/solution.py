@@ -30,7 +30,7 @@ _ROUNDING = 100.0
 class Solution(NamedTuple):
     """An optimum as JAX arrays: objective as stated, states and controls by name, final time, free parameters.
 
-    `solved` is 1 for an optimum. Otherwise it is 0, the arrays are the last iterate, and derivatives are NaN.
+    `solved` is 1 for an optimum. Otherwise `solved` is 0, the arrays are the last iterate, and derivatives are NaN.
     """
 
     cost: jax.Array

@@ -68,7 +68,7 @@ class Collocation:
     """Collocation on the group: a polynomial in exponential coordinates about the first node of an interval.
 
     The derivative of the polynomial satisfies the equation at the nodes of the tableau. Use it for stiff systems, and
-    for long intervals of high order. The equations of a step are solved inside the interval, with the running cost
+    with high order for long intervals. The equations of a step are solved inside the interval, with the running cost
     integrated to the order of the tableau.
 
     Args:
