@@ -41,7 +41,7 @@ _EVERYWHERE = (
 
 
 class TwistaxError(Exception):
-    """Base class of the errors of this package. A traceback ends with the documentation page that explains the error."""
+    """Base class of the errors of this package. A traceback ends with the page that explains the error."""
 
     #: That page. It is a note and no part of the message.
     page: ClassVar[str] = "docs/reference/errors.md"

@@ -214,10 +214,10 @@ def test_lists_with_traced_entries_come_in() -> None:
 
 def test_functions_of_others_are_not_numpys() -> None:
     sign = np.frompyfunc(lambda a: 7.0, 1, 1)  # any name may be NumPy's too
-    with pytest.raises(TypeError, match="is no ufunc of NumPy"):
+    with pytest.raises(TypeError, match="is not a ufunc of NumPy"):
         sign(v)
     special = pytest.importorskip("scipy.special")
-    with pytest.raises(TypeError, match="is no ufunc of NumPy"):
+    with pytest.raises(TypeError, match="is not a ufunc of NumPy"):
         special.log1p(v)
 
 
@@ -285,7 +285,7 @@ def test_a_traced_attitude_that_is_none_is_nan() -> None:
         np.testing.assert_array_equal(jax.jit(read)(jnp.eye(3)), read(jnp.eye(3)))
 
 
-_BEYOND = "float64 can hold|real numbers"
+_BEYOND = "fit in float64|real numbers"
 
 
 @pytest.mark.parametrize(
@@ -345,7 +345,7 @@ def test_more_than_double_precision_is_double() -> None:
     dynamics = tx.compile(tx.System(rates={s: 2.0 * s}))
     assert dynamics(0.0, {"s": np.longdouble(1.5)})["s"].dtype == np.float64
     if np.finfo(np.longdouble).max > np.finfo(float).max:
-        with pytest.raises(tx.InputError, match="float64 can hold"):
+        with pytest.raises(tx.InputError, match="fit in float64"):
             dynamics(0.0, {"s": np.longdouble("1e400")})
 
 

@@ -234,7 +234,7 @@ class State(Variable):
         group = group_of(name, shape, group, order)
         if not group.flat and (min is not None or max is not None):
             raise ModelError(
-                f"State {name!r} lives on {group.name}: a box of {group.shape} entries has no meaning there.\n"
+                f"State {name!r} is on {group.name}: bounds on its {group.shape} entries are not defined.\n"
                 "  fix: constrain an expression of it, e.g. g[2, 3] >= 0"
             )
         ends = {

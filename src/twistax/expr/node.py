@@ -387,7 +387,7 @@ def to_numbers(owner: str, child: Expr) -> Expr:
     if child.boolean and not child.is_leaf:
         raise ModelError(
             f"{owner} expects numbers, got the condition {child!r}.\n"
-            "  fix: say which numbers it stands for: tx.Where(condition, 1.0, 0.0)"
+            "  fix: choose the numbers: tx.Where(condition, 1.0, 0.0)"
         )
     return to_expr(np.asarray(cast("Any", child).value, float)) if child.boolean else child
 

@@ -285,7 +285,7 @@ class OfTime:
             values = self.function(t, *self.inputs)
         except (jax.errors.ConcretizationTypeError, jax.errors.TracerArrayConversionError) as error:
             raise InputError(
-                f"the function u needs the number t, which is traced: {str(error).splitlines()[0]}\n"
+                f"the function u needs t as a number, but t is traced: {str(error).splitlines()[0]}\n"
                 "  fix: choose with jnp.where(t < ..., a, b), and call jax.numpy in place of NumPy and math"
             ) from None
         if not isinstance(values, Mapping):

@@ -83,7 +83,7 @@ class SpatialInertia:
             raise ModelError(
                 f"SpatialInertia expects a mass that does not change where mass_leaves=False, got {self.mass!r}: mass "
                 "comes from somewhere and goes somewhere, with its momentum.\n"
-                "  fix: rates={...: 0.0} for each state in a mass that stays as it is"
+                "  fix: rates={...: 0.0} for each state in a constant mass"
             )
         has_moving_part = mass_leaves is not True and changing(self.center_of_mass, self.inertia)
         #: The parts whose centre or inertia changes, of merged bodies those of both.

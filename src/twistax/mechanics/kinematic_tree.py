@@ -80,8 +80,8 @@ class KinematicTree:
         for i in reversed(range(len(self.segments))):
             if not heavy[i] and self.segments[i].link.joint.dofs:
                 raise ModelError(
-                    f"{owner}: joint {self.segments[i].link.joint.name!r} moves no mass, so its acceleration is not "
-                    "determined.\n  fix: give a body to its link or to one beyond it, or the joint an armature"
+                    f"{owner}: joint {self.segments[i].link.joint.name!r} carries no mass, so its acceleration is not "
+                    "determined.\n  fix: give its link or a later one a body, or give the joint an armature"
                 )
             if self.segments[i].before >= 0:
                 heavy[self.segments[i].before] |= heavy[i]

@@ -156,7 +156,7 @@ def check_loops(loops: Iterable[Any], metric: Any, segment: Callable[[str], int]
         if not isinstance(loop, Loop):
             raise ModelError(f"Mechanism expects loops, such as loops.PointLoop, got {short(loop)}")
         if segment(loop.frame) == segment(loop.other):
-            raise ModelError(f"{loop!r} joins two frames of one body, which do not move against each other")
+            raise ModelError(f"{loop!r} connects two frames of one body, which cannot move relative to each other")
     names = [loop.name for loop in loops]
     if len(set(names)) < len(names):
         raise ModelError(f"two loops have one name, got {listed(names)}")

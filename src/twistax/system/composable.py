@@ -38,7 +38,7 @@ class Composable:
         """
         if name not in self.outputs:
             raise ModelError(
-                f"output names {name!r}, which is no output; the system has: {listed(self.outputs, str(name))}"
+                f"output names {name!r}, which is not an output; the system has: {listed(self.outputs, str(name))}"
             )
         return self.outputs[name]
 

@@ -121,7 +121,7 @@ class Ellipsoid(Shape):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Sphere(Shape):
-    """A ball centred at its pose, with a radius in m."""
+    """A ball centred at its pose, with one number, its radius in m."""
 
     radius: float
     single = ("radius",)

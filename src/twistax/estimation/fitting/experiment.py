@@ -87,7 +87,7 @@ def experiments_of(data: Any) -> tuple[Experiment, ...]:
     """The experiments of data. Raises InputError."""
     experiments = (data,) if isinstance(data, Experiment) else tuple(data) if isinstance(data, Sequence) else ()
     if not experiments or not all(isinstance(one, Experiment) for one in experiments):
-        raise InputError(f"data expects an Experiment or a list of them, got {short(data)}")
+        raise InputError(f"data expects an Experiment or a list of Experiments, got {short(data)}")
     return experiments
 
 

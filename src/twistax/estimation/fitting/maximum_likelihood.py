@@ -162,7 +162,7 @@ class MaximumLikelihood:
             if value is None and box.min is not None and box.max is not None:
                 value = 0.5 * (np.asarray(box.min) + np.asarray(box.max))
             if value is None:
-                raise InputError(f"fit expects a value to begin with for {box.name!r}.\n  fix: params={{...}}")
+                raise InputError(f"fit expects an initial value for {box.name!r}.\n  fix: params={{...}}")
             array = real_array(f"params[{box.name!r}]", value)
             if array.shape != leaf.shape:
                 raise ShapeError(f"params[{box.name!r}] expects shape {leaf.shape}, got {array.shape}")
@@ -173,7 +173,7 @@ class MaximumLikelihood:
         if not estimate.converged:
             raise EstimationError(
                 f"the fit is {estimate.result}.\n"
-                "  fix: other values to begin with, params=...; limits of free parameters; priors; more segments"
+                "  fix: other initial values, params=...; limits of free parameters; priors; more segments"
             )
         if names := estimate.names_on_bounds:
             warnings.warn(

@@ -110,7 +110,9 @@ class ParameterEstimate:
     def _eigenvalues(self, with_prior: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Of the scaled information those that count, the vectors, the scale, and which vectors count."""
         if self.cost.ndim:
-            raise InputError("this expects one estimate.\n  fix: jax.tree.map(lambda a: a[0], estimate)")
+            raise InputError(
+                "explain, deviations and covariance expect one estimate.\n  fix: jax.tree.map(lambda a: a[0], estimate)"
+            )
         N = np.asarray(self.information + self.prior_information if with_prior else self.information, float)
         size = np.sqrt(np.clip(np.diag(N), 0.0, None))
         scale = np.where(size > 0.0, 1.0 / np.where(size > 0.0, size, 1.0), 1.0)

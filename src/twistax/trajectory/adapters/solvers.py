@@ -80,9 +80,7 @@ class _Casadi:
                 f"{kind} expects a dict of options, got {short(self.options)}; e.g. {{'print_level': 5}}"
             )
         if "max_iter" in self.options:
-            raise TrajectoryError(
-                f"{kind}: max_iter is what is left of max_iterations.\n  fix: solve(max_iterations=...)"
-            )
+            raise TrajectoryError(f"{kind}: max_iter is set by max_iterations.\n  fix: solve(max_iterations=...)")
         if self.max_seconds is not None:
             number("max_seconds", self.max_seconds, "above zero", lambda it: 0.0 < it < np.inf, TrajectoryError)
 

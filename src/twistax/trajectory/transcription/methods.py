@@ -127,7 +127,9 @@ def transcription_of(transcription: Any, method: Any, substeps: Any) -> Multiple
             f"got {transcription!r}"
         )
     if method is not None or substeps is not None:
-        raise TrajectoryError("transcription brings its own method and substeps; leave those out")
+        raise TrajectoryError(
+            "method and substeps belong to the transcription: leave them out where transcription= is passed"
+        )
     return transcription
 
 
