@@ -38,7 +38,7 @@ _FINER = "solve(refine=1e-4), more nodes or substeps, for stiff rates Collocatio
 
 @dataclasses.dataclass(frozen=True)
 class Optimality:
-    """Errors of the first-order (KKT) conditions of an optimum, in scaled form.
+    """Residuals of the first-order (KKT) conditions of an optimum, in scaled form.
 
     The scale of an unknown is its change along the trajectory; that of the objective is its change with these
     changes.
@@ -337,11 +337,7 @@ def _message(
     sentence = f"Worst: {'; '.join(worst)}" if worst else "Every constraint holds"
     if outcome.status in (Status.MAX_ITERATIONS, Status.OUT_OF_TIME, Status.STOPPED, Status.STALLED):
         errors = outcome.errors
-        feasibility = (
-            f"feasibility {errors.feasibility:.1e}"
-            if worst
-            else f"the residual of the slacks is {errors.feasibility:.1e}"
-        )
+        feasibility = f"feasibility {errors.feasibility:.1e}{'' if worst else ' (of the slacks)'}"
         sentence += f"; scaled, stationarity is {errors.stationarity:.1e}, {feasibility} and the gap {errors.gap:.1e}"
     return f"{outcome.status}. {sentence}."
 
@@ -397,8 +393,4 @@ def _first_not_finite(shooting: Transcribed, outcome: Outcome) -> str:
         return f"{shooting.names[row]!r} {shooting.places[row]} is {rows[row]:g}"
     for stage, column in np.argwhere(~np.isfinite(defects)):
         return f"{shooting.defect(int(stage), int(column))} is {defects[stage, column]:g}"
-    return (
-        "Its values are finite, its derivatives are not"
-        if np.isfinite(outcome.cost)
-        else f"The objective is {outcome.cost:g}"
-    )
+    return "Its derivatives are not finite" if np.isfinite(outcome.cost) else f"The objective is {outcome.cost:g}"
