@@ -59,7 +59,7 @@ def test_a_state_is_declared_with_a_start_and_refuses_what_is_no_element(group: 
     with pytest.raises(tx.ModelError, match=rf"(?s)initial is not an element of {group.name} .*normalize"):
         tx.State("q", group=group, initial=off)
     x, u = arguments(group)
-    with pytest.raises(tx.InputError, match=rf"(?s)no element of {group.name}: off by .*normalize of the group"):
+    with pytest.raises(tx.InputError, match=rf"(?s)not an element of {group.name}: off by .*normalize of the group"):
         tx.integrate(moving(group), {**x, "q": off}, t1=1.0, dt=0.1, u=u)
 
 

@@ -56,13 +56,13 @@ TWICE = '<limit lower="0" upper="1" effort="1" velocity="1"/>'
     ("parts", "message"),
     [
         ((*PAIR, link("rod", inertial(7)), joint("j", "base", "rod")),
-         r"line 4, <link name='rod'>: a link of this name is already in line 3 already(.|\n)*fix: give one of the two"),
+         r"line 4, <link name='rod'>: a link of this name is already in line 3(.|\n)*fix: give one of the two"),
         ((*PAIR, link("tip"), joint("j", "base", "rod"), joint("j", "rod", "tip")),
-         r"line 6, <joint name='j'>: a joint of this name is already in line 5 already(.|\n)*fix: give one"),
+         r"line 6, <joint name='j'>: a joint of this name is already in line 5(.|\n)*fix: give one"),
         ((link("base"), link("rod", f"{inertial()}\n{inertial(7)}"), joint("j", "base", "rod")),
          r"<link name='rod'>, line 4, <inertial>: <inertial> occurs twice in <link name='rod'>, in line 3"),
         ((link("base"), link("rod", inertial().replace("<mass", '<mass value="2"/><mass')), joint("j", "base", "rod")),
-         r"<link name='rod'>, line 3, <mass>: <mass> occurs twice in <inertial>, in line 3 already"),
+         r"<link name='rod'>, line 3, <mass>: <mass> occurs twice in <inertial>, in line 3"),
         *(((*PAIR, joint("j", "base", "rod", again)), rf"<joint name='j'>, line 4, <{tag}>: <{tag}> occurs twice")
           for tag, again in (("origin", '<origin xyz="1 0 0"/>'), ("axis", '<axis xyz="1 0 0"/>'),
                              ("limit", TWICE + TWICE), ("parent", '<parent link="a"/>'), ("child", "<child/>"),

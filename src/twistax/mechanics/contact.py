@@ -223,7 +223,8 @@ class Ground:
             frames: names of the frames whose origins touch the ground; or a dict from names to what does, a
                 `tx.view.Sphere`, or a `Capsule`, which touches the ground with the balls at its ends.
                 A ball touches a height field along the normal at its centre: exact where the ground is even under it.
-        Raises: ModelError for an unknown frame, or another type of shape; ShapeError for positions of another shape.
+        Raises: ModelError for an unknown frame, or a shape that is not supported; ShapeError for positions of another
+            shape.
         """
         wrenches: dict[str, Expr] = {}
         for name in [frames] if isinstance(frames, str) else frames:

@@ -32,7 +32,7 @@ def constants_of(parameters: tuple[Parameter, ...], bake: Mapping[str, Any]) -> 
         if name not in known:
             raise ModelError(f"bake names {name!r}, which is not a parameter; the system has: {listed(known, name)}")
         if value is None:
-            raise ModelError(f"bake[{name!r}] is None; give the value to compile in, of shape {known[name].shape}")
+            raise ModelError(f"bake[{name!r}] is None; give a value of shape {known[name].shape}")
         if is_traced(value):
             raise ModelError(
                 f"bake[{name!r}] is traced (inside jit, grad or vmap), so its value is not known.\n"
