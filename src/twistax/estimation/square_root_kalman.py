@@ -20,7 +20,7 @@ from .update import LinearMeasurement, Update, root_update
 class SquareRootKalman(ErrorStateKalman):
     """`ErrorStateKalman` with a square root of the covariance, $P = L L^T$, for single precision.
 
-    A run carries L, (n, n), in the units of a tangent. A prediction triangularises $[Phi L, Q^(1/2)]$, an update
+    A run propagates L, (n, n), in the units of a tangent. A prediction triangularises $[Phi L, Q^(1/2)]$, an update
     $[R^(1/2), H L; 0, L]$, by a QR factorisation. No entry is squared. So the ratio of standard deviations may use all
     digits of the precision, compared with half of them for a covariance. $L L^T$ is positive semidefinite for any
     round-off. In exact arithmetic the numbers are those of `ErrorStateKalman`.

@@ -357,9 +357,8 @@ def load(path: str | Path, *, backend: Backend | Literal["auto"] | None = None) 
     """A compiled system from a file that `Dynamics.save` wrote.
 
     Its expressions have the same keys as before, and its functions give the same numbers on the same machine, to the
-    last bit. Nothing in a file is executed. Nodes, groups and backends of your own are found by the names of their
-    module and
-    class: import their modules first.
+    last bit. Nothing in a file is executed. Custom nodes, groups and backends are found by the names of their module
+    and class: import their modules first.
 
     Args:
         backend: another backend than that of the file.

@@ -51,7 +51,7 @@ class Clash(Exception):
 class Rule:
     """A rule without constraints: frames and units of operands and result are undetermined, for any shapes.
 
-    Subclass it for a node of your own, as a frozen dataclass.
+    Subclass it for a custom node, as a frozen dataclass.
 
     Raises: a system raises KindError where operands violate a rule; `unit` raises `Clash`, which becomes one.
     """

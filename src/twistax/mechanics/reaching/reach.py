@@ -35,7 +35,7 @@ class ReachStatus(enum.IntEnum):
     """The status of a target.
 
     - `REACHED`: all frames are at their targets, to the tolerances; all tasks are done and all constraints hold.
-    - `LIMIT`: the best seed ended at joint limits; `at_limit` says which.
+    - `LIMIT`: the best seed ended at joint limits; `at_limit` marks these joints.
     - `UNREACHABLE`: the best seed ended away from joint limits: at a minimum of the distance if `slope` is small, else
       after all iterations.
     """
