@@ -66,4 +66,4 @@ print(f"second stage burns {result.durations['second']:.1f} s; {last.xs['m'][-1]
 figure = result.plot(["h", "vt", "m", "pitch"], units={"h": "m", "vt": "m/s", "m": "kg", "pitch": "rad"})
 figure.savefig("ascent.png", dpi=90)
 if not result.solved:
-    raise SystemExit("the ascent has an optimum")
+    raise SystemExit("the solve found no optimum")

@@ -47,4 +47,4 @@ right.set(xlabel="time, s", ylabel="torque, N m")
 right.legend(frameon=False)
 figure.savefig("balance.png", dpi=100)
 if lean[-1] > 0.1:
-    raise SystemExit("the law does not balance it")
+    raise SystemExit("the control law does not balance the pole")

@@ -45,4 +45,4 @@ axes.plot(found, 0.0 * found, ".")
 axes.set(xlabel="time, s", ylabel="height, m")
 figure.savefig("bouncing_ball.png", dpi=100)
 if abs(slope - exact_slope) > 1e-6:
-    raise SystemExit("the derivative does not go through the bounces")
+    raise SystemExit("the derivative is wrong across the bounces")

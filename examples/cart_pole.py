@@ -44,4 +44,4 @@ print(f"a rollout of the push ends {np.rad2deg(abs(float(error))):.3f} degrees f
 figure = result.plot(units={"x": "m", "a": "rad", "xd": "m/s", "ad": "rad/s", "push": "N"})
 figure.savefig("cart_pole.png", dpi=90)
 if not result.solved:
-    raise SystemExit("the swing-up has an optimum")
+    raise SystemExit("the solve found no optimum")

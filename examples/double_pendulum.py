@@ -42,4 +42,4 @@ right.semilogy(times[1:], apart[1:])
 right.set(xlabel="time, s", ylabel="distance between the tips, m")
 figure.savefig("double_pendulum.png", dpi=100)
 if np.ptp(energy) > 1e-8 or apart.max() < 0.1:
-    raise SystemExit("each motion keeps its energy, and they part")
+    raise SystemExit("the energy drifts, or the motions stay close")

@@ -66,7 +66,7 @@ inside = (np.abs(errors) < 3.0 * deviations).mean()
 away = np.linalg.norm(xs["g"][:, :3, 3], axis=1)
 print(f"within three deviations: {100.0 * inside:.1f} %; away from the origin: {away[100:].mean():.2f} m")
 if inside < 0.97 or away[100:].max() > 1.5:
-    raise SystemExit("the quadrotor hovers by its filter")
+    raise SystemExit("the quadrotor does not hover")
 figure, axes = plt.subplots(1, 2, figsize=(9.0, 3.0), layout="constrained")
 for axis, entry, label in ((axes[0], 0, "error of the position (m)"), (axes[1], 12, "error of the wind (N)")):
     axis.plot(STEP * np.arange(COUNT), errors[:, entry], lw=0.8)

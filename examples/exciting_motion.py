@@ -68,7 +68,7 @@ result = tx.trajectory.Problem(dynamics, tx.Minimize(tx.Log(variances)), **ends)
 best, typical = deviation(result.xs["info"][-1]), np.median(deviations)
 print(f"deviation {best:.2g}; of 20 random sums of sines {min(deviations):.2g} at least, {typical:.2g} in the median")
 if not result.solved or best > 0.6 * min(deviations):
-    raise SystemExit("the motion is better than random ones")
+    raise SystemExit("the motion is not better than the random ones")
 
 figure, axes = plt.subplots(1, 2, figsize=(8.0, 3.0), sharey=True, layout="constrained")
 times = np.linspace(0.0, SECONDS, len(x["q"])), result.ts

@@ -61,13 +61,14 @@ if (
     or distance.min() < NEAR - 1e-3
     or distance.max() > FAR + 1e-3
 ):
-    raise SystemExit("the runner leaves the picture")
+    raise SystemExit("the runner leaves the view of the camera")
 
 figure, both = plt.subplots(1, 2, figsize=(8.0, 3.0), layout="constrained")
 curves = ((angle, "angle off the axis, deg", [np.rad2deg(HALF)]), (distance, "distance, m", [NEAR, FAR]))
 for axes, (values, name, limits) in zip(both, curves):
     axes.plot(times, values)
     for limit in limits:
-        axes.axhline(limit, color="0.6", linestyle="--", linewidth=0.9)
+        axes.axhline(limit, color="0.6", linestyle="--", linewidth=0.9, label=f"limit {limit:.3g}")
     axes.set(xlabel="time, s", ylabel=name)
+    axes.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.0, 1.0))
 figure.savefig("filming.png", dpi=100)

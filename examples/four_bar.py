@@ -64,12 +64,12 @@ print(f"{sol.stats.accepted} steps; the loop opens by {open_by:.1e} m, energy dr
 print("notes:", *linkage.notes)
 print("the pin carries at the end (N):", np.round(found["force"][-1], 2))
 if open_by > 1e-10 or drift > 1e-8:
-    raise SystemExit("a closed loop stays closed, and keeps its energy")
+    raise SystemExit("the loop opens, or the energy drifts")
 
 figure, (left, right) = plt.subplots(1, 2, figsize=(9.0, 3.0), layout="constrained")
 left.plot(found["pin"][:, 0], found["pin"][:, 2])
 left.set(xlabel="x (m)", ylabel="z (m)", title="path of the pin", aspect="equal")
-right.plot(times, found["force"][:, [0, 2]], label=["pin, x", "pin, z"])
-right.set(xlabel="t (s)", ylabel="force (N)")
-right.legend()
+right.plot(times, found["force"][:, [0, 2]], label=["x", "z"])
+right.set(xlabel="t (s)", ylabel="force on the pin (N)")
+right.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
 figure.savefig("four_bar.png", dpi=100)

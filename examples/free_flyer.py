@@ -46,4 +46,4 @@ right.set(xlabel="time, s", ylabel="share of the jets")
 right.legend(frameon=False, loc="lower left")
 figure.savefig("free_flyer.png", dpi=100)
 if not result.solved:
-    raise SystemExit("there is a fastest way")
+    raise SystemExit("the solve found no optimum")

@@ -54,7 +54,7 @@ for node, gate in zip(through, GATES):
     print(f"{result.ts[node]:7.3f} s: {away:.2f} m from the middle of the gate at {gate}")
 print(f"limits are exceeded between nodes by {max(result.between_nodes.values()):.1e}")
 if not result.solved:
-    raise SystemExit("the race has an optimum")
+    raise SystemExit("the solve found no optimum")
 
 path = np.asarray(result.dense.xs["p"])
 figure, axes = plt.subplots(figsize=(6.0, 3.6), layout="constrained")

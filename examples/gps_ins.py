@@ -63,7 +63,7 @@ for kalman, dynamics, states in ((invariant, ins, {"X": flight}), (plain, by_ang
     print(f"{type(kalman).__name__}: {runs.consistency(truths)}")
 runs, truths = results[invariant]
 if runs.consistency(truths).verdict is not Verdict.CONSISTENT:
-    raise SystemExit("the covariance is honest")
+    raise SystemExit("the covariance is not consistent with the errors")
 errors = np.linalg.norm(runs.errors(truths)[..., 6:9], axis=-1)
 deviations = np.linalg.norm(runs.deviations()["X"][..., 6:9], axis=-1)
 last = round(OUTAGE[1] / STEP)

@@ -41,7 +41,7 @@ reached = np.mean(np.asarray(result.status) == ReachStatus.REACHED)
 print(f"{reached:.0%} of {len(angle)} poses reached, to {1e6 * float(np.max(result.distance)):.2f} um")
 print(f"the hand stays {100.0 * float(np.min(distance)):.1f} cm from the table")
 if reached < 1.0 or np.min(distance) < 0.05:
-    raise SystemExit("all poses are reached, clear of the table")
+    raise SystemExit("a pose is not reached, or the arm is too close to the table")
 
 figure, axes = plt.subplots(figsize=(5.0, 3.0), layout="constrained")
 axes.plot(np.rad2deg(angle), np.asarray(result.x["q"]), label=arm.joints)

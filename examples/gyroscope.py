@@ -40,4 +40,4 @@ axes.plot(axis[:, 0], axis[:, 1], linewidth=0.8)
 axes.set(xlabel="x of the axis", ylabel="y of the axis", aspect="equal", title="tip of the axis, seen from above")
 figure.savefig("gyroscope.png", dpi=100)
 if abs(measured / expected - 1.0) > 0.03:
-    raise SystemExit("a fast top precesses at m g l / (J3 w3)")
+    raise SystemExit("the precession differs from m g l / (J3 w3)")

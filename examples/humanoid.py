@@ -66,7 +66,7 @@ print(
     "hand, centre of mass, left foot: largest errors of the last second (mm):", np.round(np.max(left[-50:], axis=0), 2)
 )
 if np.max(left[-50:], axis=0)[2] > 0.1 or np.max(left[-50:]) > 50.0:
-    raise SystemExit("the feet stand and the hand follows")
+    raise SystemExit("a foot moves, or the hand does not follow")
 xs = {name: np.stack([p[name] for p in path]) for name in path[0]}
 Scene(ts, tuple(robot.bodies_in_view(xs, {}))).save("humanoid.html")
 figure, axes = plt.subplots(figsize=(5.0, 3.0), layout="constrained")

@@ -38,7 +38,7 @@ mass = result.estimate("link7.mass")
 weight, known = (float(tx.lower(body.mass)(0.0, {})) for body in (held, hand))
 print(f"the payload has {weight - known:.3f} kg +- {mass[1]:.3f}, true 1.2 kg")
 if result.status is not IdentificationStatus.IDENTIFIED or abs(weight - known - 1.2) > 4.0 * mass[1]:
-    raise SystemExit("the payload is identified to within its deviation")
+    raise SystemExit("the error of the payload exceeds its deviation")
 
 figure, (left, right) = plt.subplots(1, 2, figsize=(9.0, 3.2), layout="constrained")
 left.plot(t, records["tau"][:, 3], ".", ms=2, label="measured")

@@ -46,4 +46,4 @@ axes.plot(times / day, node - expected * times / day)
 axes.set(xlabel="time, days", ylabel="node less first-order theory, deg")
 figure.savefig("orbit.png", dpi=100)
 if abs(measured / expected - 1.0) > 0.01:
-    raise SystemExit("the node does not move as the theory says")
+    raise SystemExit("the node does not move as the theory predicts")

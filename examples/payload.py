@@ -55,7 +55,7 @@ print(f"{fit.result} after {fit.iterations} steps")
 print(f"mass {found:.4f} kg +- {spread:.4f}, true {mass} kg")
 print(f"centre of mass (m): {np.round(numbers[7:], 4)} +- {np.round(deviations[7:], 4)}, true {center}")
 if abs(found - mass) > 4.0 * spread or (np.abs(numbers[7:] - center) > 4.0 * deviations[7:]).any():
-    raise SystemExit("the load is found to within its deviations")
+    raise SystemExit("the error of the load exceeds its deviations")
 
 figure, axes = plt.subplots(1, 2, figsize=(9.0, 3.0), layout="constrained")
 for axis, load, title in ((axes[0], held.value, "before the fit"), (axes[1], numbers, "after it")):

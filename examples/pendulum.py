@@ -45,7 +45,7 @@ for t, tilt, energy, other in list(rows)[::10]:
 
 energies = read(free.ts, free.xs)["energy"]
 if np.ptp(energies) > 1e-8:
-    raise SystemExit("the free pendulum does not keep its energy")
+    raise SystemExit("the energy of the free pendulum drifts")
 
 figure, axes = plt.subplots(figsize=(6.0, 3.0), layout="constrained")
 axes.plot(times, np.rad2deg(read(free.ts, free.xs)["tilt"]), label="free")

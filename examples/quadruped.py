@@ -49,13 +49,14 @@ print(
     f"after a second it stands {found['trunk'][-1, 2]:.3f} m high and rolls by {np.degrees(found['roll'][-1]):.1f} deg"
 )
 if abs(carried[39] - weight) > 0.05 * weight or abs(np.degrees(found["roll"][-1])) > 10.0:
-    raise SystemExit("it carries its weight, and does not fall")
+    raise SystemExit("the feet do not carry the weight, or the robot falls")
 
 figure, (left, right) = plt.subplots(1, 2, figsize=(9.0, 3.0), layout="constrained")
 left.plot(times, found["trunk"][:, 1] * 1e3)
-left.set(xlabel="t (s)", ylabel="trunk to the side (mm)")
-right.plot(times, found["normal"], label=feet)
-right.set(xlabel="t (s)", ylabel="force under a foot (N)")
+left.set(xlabel="t (s)", ylabel="lateral position of the trunk (mm)")
+for k, foot in enumerate(feet):  # on each side the curves of both feet coincide
+    right.plot(times, found["normal"][:, k], ("-", "-", "--", "--")[k], label=foot)
+right.set(xlabel="t (s)", ylabel="normal force on a foot (N)")
 right.legend()
 figure.savefig("quadruped.png", dpi=100)
 arrow = {"push": tx.view.Arrow("trunk", world=True, scale=0.01)}

@@ -49,7 +49,7 @@ print(
 )
 print(f"the dish leans by at most {np.degrees(np.linalg.norm(found['dish'], axis=1).max()):.1f} deg")
 if off[-1] > 1.0 or momenta.max() > 1e-8:
-    raise SystemExit("the satellite turns to its goal, and its momentum stays zero")
+    raise SystemExit("the satellite misses its goal, or its momentum changes")
 
 figure, (left, right) = plt.subplots(1, 2, figsize=(9.0, 3.0), layout="constrained")
 left.plot(times, off, label="hub off its goal")

@@ -35,7 +35,7 @@ turn = np.degrees(np.arccos(np.clip(0.5 * (trace - 1.0), -1.0, 1.0)))
 print(f"the satellite has turned by {turn[-1]:.2f} degrees")
 print(f"largest momentum: {np.max(np.abs(momentum)):.1e} N s and N m s")
 if not np.max(np.abs(momentum)) < 1e-10:
-    raise SystemExit("motors between its own bodies cannot change the momentum of the whole")
+    raise SystemExit("the motors change the total momentum")
 
 figure, axes = plt.subplots(figsize=(5.0, 3.0), layout="constrained")
 axes.plot(sol.ts, turn)

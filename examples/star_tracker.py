@@ -53,15 +53,16 @@ print(f"attitude after {runs.ts[0, -1]:.0f} s: {late:.1f} arcsec mean error")
 print(f"bias: {np.abs(errors[:, -1, 3:]).mean():.1e} rad/s, from {start[3]:.0e}")
 print(verdict)
 if verdict.verdict is not Verdict.CONSISTENT:
-    raise SystemExit("the covariance is honest")
+    raise SystemExit("the covariance is not consistent with the errors")
 
 figure, axes = plt.subplots(1, 2, figsize=(9.0, 3.0), layout="constrained")
 seen = slice(0, None, EVERY)  # the times of the star tracker
 for axis, name, entry, factor in ((axes[0], "R", 2, np.degrees(3600.0)), (axes[1], "bias", 5, 1e6)):
-    axis.plot(runs.ts[0, seen], factor * errors[:5, seen, entry].T, lw=0.7)
+    axis.plot(runs.ts[0, seen], factor * errors[:5, seen, entry].T, lw=0.7, label=["five satellites", *4 * [None]])
     bound = 3.0 * factor * deviations[name][0, seen, 2]
-    axis.plot(runs.ts[0, seen], np.stack([bound, -bound], axis=1), "k--", lw=1.0)
+    axis.plot(runs.ts[0, seen], np.stack([bound, -bound], axis=1), "k--", lw=1.0, label=["3 deviations", None])
     axis.set(xlabel="t (s)")
 axes[0].set(ylabel="error about the boresight (arcsec)", ylim=(-100.0, 100.0))
 axes[1].set(ylabel="error of the bias (1e-6 rad/s)", ylim=(-30.0, 30.0))
+axes[1].legend(fontsize="small")
 figure.savefig("star_tracker.png", dpi=100)

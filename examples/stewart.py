@@ -82,7 +82,7 @@ print(f"across, its tube guides it with up to {np.linalg.norm(force[:, :2], axis
 print(f"and holds it with up to {np.linalg.norm(torque, axis=1).max():.1f} N m")
 off = np.abs(force[:, 2] - found["pushed"]).max()
 if open_by > 1e-10 or drift > 1e-8 or off > 1e-9 * np.abs(force).max():
-    raise SystemExit("closed loops stay closed and keep their energy, and the leg carries its spring's force")
+    raise SystemExit("the loops open, the energy drifts, or the leg does not carry the force of its spring")
 
 figure, (left, right) = plt.subplots(1, 2, figsize=(9.0, 3.0), layout="constrained")
 left.plot(times, (np.asarray(found["plate"]) - [0.0, 0.0, height]) * 1e3, label=["x", "y", "z"])

@@ -97,9 +97,9 @@ for name, error in errors.items():
     print(f"  {name:14}errors {' '.join(f'{e:.1e}' for e in error)}: observed order {orders[name]:.2f}")
 
 if not (momenta["twistax"] < 1e-9 < 1.0 < momenta["as published"]):
-    raise SystemExit("the ball does not do what this page says")
+    raise SystemExit("the motion of the ball differs from this page")
 if not (abs(orders["twistax"] - 4.0) < 0.15 and abs(orders["as published"] - 2.0) < 0.15):
-    raise SystemExit("the orders are not what this page says")
+    raise SystemExit("the orders differ from this page")
 
 # ---- the figure ----------------------------------------------------------------------------------------------------
 

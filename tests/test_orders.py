@@ -85,7 +85,7 @@ def test_mixed_orders_are_refused_and_both_places_named(what: str) -> None:
     with pytest.raises(tx.OrderError) as caught:
         build()
     first, *places, fix = str(caught.value).splitlines()
-    assert first.startswith("two orders of six-vectors meet")
+    assert first.startswith("two orders of six-vectors are combined")
     assert "LINEAR_FIRST" in first
     assert "ANGULAR_FIRST" in first
     assert len(places) == 2
@@ -138,7 +138,7 @@ def test_the_message_in_full() -> None:
     with pytest.raises(tx.OrderError) as caught:
         tx.System(rates={h: V, V: tx.linalg.Solve(M, F - lie.AdjointDual(V, M @ V))})
     assert str(caught.value).splitlines() == [
-        "two orders of six-vectors meet: LINEAR_FIRST and ANGULAR_FIRST.",
+        "two orders of six-vectors are combined: LINEAR_FIRST and ANGULAR_FIRST.",
         "  at: rates['V']: Solve.b -> Sub.right -> AdjointDual, V is LINEAR_FIRST",
         "  and: the rate of the pose 'h': V is ANGULAR_FIRST",
         "  fix: give both places the same order=, or put a tx.lie.Reorder between them",

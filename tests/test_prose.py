@@ -84,6 +84,25 @@ REFUSED_FIRST = {
     r"\bpays\b": "is faster, is useful",
     r"\bone after the other\b": "successively, in series, concatenated",
     r"\bspoils\b": "state the effect",
+    r"\bof (your|one's) own\b": "custom",
+    r"\bstands? (twice|beside|above|below|in line)\b": "occurs, is listed",
+    r"\bsays (which|what|whether|how|that|of)\b": "states, names, lists",
+    r"\bwhat became of\b": "the status of",
+    r"\bto begin with\b": "initial, first",
+    r"\bin one go\b": "in one call, in one experiment",
+    r"\bfor ever\b": "at all times, endlessly",
+    r"\b(as|than) \w+ ha(s|ve) (it|them)\b": "executed by, in the form of",
+    r"\bno words for\b": "cannot express",
+    r"\bgain(s|ed)? nothing\b|\bnothing is gained\b": "gives no speed-up",
+    r"\bturns? (round|anew)\b": "is reversed",
+    r"(?<!there )\b(is|are) no (pose|rotation|parameter|state|output|element|model|tuple|list|name|number|scalar|text)\b": (
+        "is not a"
+    ),
+    r"\ball told\b": "in total",
+    r"\b(puts?|brings?) back\b": "projects, restores",
+    r"\bran out\b": "reached the limit",
+    r"\bas they are\b|\bas it is\b(?! (evaluated|called))": "unchanged",
+    r"\bcarry on\b": "continue",
 }
 
 

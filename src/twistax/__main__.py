@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import difflib
 import importlib
 import platform
 import shutil
@@ -10,7 +11,7 @@ import sys
 from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from .demo import options as demo_options
 from .progress import Progress
@@ -34,10 +35,18 @@ EXTRAS = {
 
 
 class OneLineParser(argparse.ArgumentParser):
-    """A parser whose errors are one line and exit status 2."""
+    """A parser whose errors are one line and exit status 2. Options are written in full."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options | {"allow_abbrev": False})
 
     def error(self, message: str) -> NoReturn:
         self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
+
+    def refuse(self, unknown: Sequence[str]) -> NoReturn:
+        """The error for unknown arguments, with the option that is closest to the first one."""
+        near = difflib.get_close_matches(unknown[0], self._option_string_actions, 1)
+        self.error(f"unrecognized arguments: {' '.join(unknown)}{f'; did you mean {near[0]}?' if near else ''}")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -45,37 +54,41 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = OneLineParser(
         prog="twistax",
         description="Dynamics of rigid bodies and mechanisms, written as expressions, compiled to JAX.",
-        epilog="In Python: import twistax as tx. Pages to read: docs/index.md, or as a site: python docs/site.",
+        epilog="In Python: import twistax as tx. Documentation: docs/index.md; python docs/site builds it as a site.",
     )
-    parser.add_argument("--version", action="store_true", help="versions of all that takes part, for a report of a bug")
+    parser.add_argument("--version", action="store_true", help="versions of the packages and devices, for a bug report")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")
     demo = commands.add_parser(
         "demo",
-        help="land a rocket: compile, check, solve, simulate, draw",
-        description="A 6-DoF powered descent, found by the embedded optimiser, simulated again by two integrators.",
+        help="simulate and draw a tumbling body, then optimise, check and draw the landing of a rocket",
+        description="Optimises a powered descent with six degrees of freedom, checks it by integration, draws it.",
     )
     demo_options.add_options(demo)
     demo.set_defaults(module=".demo.landing", rerun="")
     report = commands.add_parser(
         "report",
-        help="what is measured: error against run time, the edges, speed, every other figure",
-        description="Error against run time: scenes with known answers, by our methods and by diffrax. With "
-        "--stability, --speed, --optimal or --figures something else. Writes a page, figures and tables.",
+        help="measure errors against run times, speed, stability and all figures of the documentation",
+        description="Measures error against run time on scenes with exact solutions, for the methods of twistax and "
+        "diffrax. --stability, --speed, --optimal, --figures and --gpu select other reports. Writes a page, figures, "
+        "tables.",
     )
     report_options.add_options(report)
-    report.set_defaults(module=".report.command", rerun="; the same command goes on where it stopped")
+    report.set_defaults(module=".report.command", rerun="; repeat the command to resume")
     examples = commands.add_parser(
         "examples",
         help="copy the examples of the gallery to a folder",
-        description="Copies the examples of the documentation, scripts that run by themselves, to a folder.",
+        description="Copies the examples of the documentation, scripts with their data, to a folder.",
     )
-    examples.add_argument("--out", type=Path, metavar="DIR", default=Path("examples"), help="the folder (./examples)")
-    options = parser.parse_args(arguments)
+    examples.add_argument("folder", type=Path, nargs="?", default=Path("examples"), help="the folder (./examples)")
+    examples.add_argument("--out", type=Path, metavar="DIR", help="another way to name the folder")
+    options, unknown = parser.parse_known_args(arguments)
+    if unknown:
+        commands.choices.get(options.command, parser).refuse(unknown)
     if options.version:
         print(versions())
         return 0
     if options.command == "examples":
-        return copy_examples(options.out)
+        return copy_examples(options.out or options.folder)
     if options.command is None:
         parser.print_help()
         return 0
@@ -94,13 +107,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def copy_examples(folder: Path) -> int:
-    """Copy the scripts and their data; files that are there stay. Returns the exit status."""
+    """Copy the scripts and their data; existing files are not overwritten. Returns the exit status."""
     package = Path(__file__).parent
     source = next(path for path in (package / "examples", package.parents[1] / "examples") if path.is_dir())
     files = sorted(path for path in source.iterdir() if path.is_file())
     there = [path.name for path in files if (folder / path.name).exists()]
     if there:
-        print(f"twistax examples: {folder / there[0]} is there; name another folder with --out", file=sys.stderr)
+        print(f"twistax examples: {folder / there[0]} exists; name another folder", file=sys.stderr)
         return 2
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -109,13 +122,12 @@ def copy_examples(folder: Path) -> int:
     except OSError as error:
         print(f"twistax examples: cannot write to {folder}: {error.strerror}", file=sys.stderr)
         return 2
-    first = folder / "free_body.py"
-    print(f"{len(files)} files in {folder}; they draw their figures into the working directory: python {first}")
+    print(f"copied {len(files)} files to {folder}; run one there: cd {folder} && python free_body.py")
     return 0
 
 
 def versions() -> str:
-    """Python, the packages that twistax stands on, JAX's devices, and the extras that are there."""
+    """Versions of Python and of the required packages, JAX's devices, and the installed extras."""
     import jax
 
     from . import __version__

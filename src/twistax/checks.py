@@ -54,7 +54,7 @@ def reals(place: str, value: Any, error: type[Exception], free: bool = False) ->
         try:
             array = np.array([float(entry) for entry in entries]).reshape(array.shape)
         except OverflowError:
-            raise error(f"{place} expects numbers that float64 can hold, got {short(value)}") from None
+            raise error(f"{place} expects numbers that fit in float64, got {short(value)}") from None
     if array.dtype == bool:
         return array
     if jnp.issubdtype(array.dtype, jnp.complexfloating):
@@ -66,7 +66,7 @@ def reals(place: str, value: Any, error: type[Exception], free: bool = False) ->
     with np.errstate(over="ignore"):
         floats = array.astype(np.float64)
     if np.any(np.isinf(floats) & ~np.isinf(array)):
-        raise error(f"{place} expects numbers that float64 can hold, got {short(value)}")
+        raise error(f"{place} expects numbers that fit in float64, got {short(value)}")
     return floats
 
 

@@ -41,7 +41,7 @@ _EVERYWHERE = (
 
 
 class TwistaxError(Exception):
-    """Base of every error that this package raises on purpose. A traceback ends with the page that explains it."""
+    """Base class of the errors of this package. A traceback ends with the page that explains the error."""
 
     #: That page. It is a note and no part of the message.
     page: ClassVar[str] = "docs/reference/errors.md"
@@ -65,9 +65,8 @@ def _page_of_caller() -> str | None:
 
 
 class ShapeError(TwistaxError, ValueError):
-    """A shape does not match.
-
-    The first line states the mismatch. `at` adds the place in the expression tree, `hint` a remedy.
+    """Shapes do not match. The first line states the mismatch. `at` adds the place in the expression tree, `hint` a
+    remedy.
     """
 
     page = "docs/writing_a_system.md#expressions"
@@ -97,14 +96,14 @@ class ModelError(TwistaxError, ValueError):
 
 
 class OrderError(ModelError):
-    """A [v; w] quantity meets a [w; v] quantity without a Reorder between them."""
+    """A [v; w] quantity is combined with a [w; v] quantity without a Reorder between them."""
 
     page = "docs/conventions.md#the-operators-in-both-orders"
     by_part = False
 
 
 class KindError(ModelError):
-    """Two values must agree in kind, frame or unit and do not; the message names the operator that joins them."""
+    """Two values that must agree in kind, frame or unit differ; the message names the operator that combines them."""
 
     page = "docs/kinds.md"
     by_part = False
@@ -130,7 +129,7 @@ class OperationError(TwistaxError, TypeError):
 
 
 class IntegrationError(TwistaxError, RuntimeError):
-    """An integration ended before its end time. The message names what happened."""
+    """An integration ended before its end time. The message states the cause."""
 
     page = "docs/integrating.md#results"
 

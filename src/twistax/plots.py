@@ -240,7 +240,8 @@ def _draw(axes: Any, panel: Panel, over: str) -> None:
         if panel.marks is not None:
             label = name if panel.curve is None else None
             axes.plot(panel.marks[0], panel.marks[1][:, k], ".", color=color, markersize=5, label=label)
-    named = f"limit{'s' if len(panel.limits) > 1 else ''} {', '.join(f'{limit:.4g}' for limit in panel.limits)}"
+    values = ", ".join(f"{limit:.6g}" for limit in panel.limits)
+    named = textwrap.fill(f"limit{'s' if len(panel.limits) > 1 else ''} {values}", 20)
     for number, limit in enumerate(panel.limits):
         axes.axhline(limit, color=_LIMIT, linestyle="--", linewidth=0.9, label=None if number else named)
     if 1 < len(panel.names) + bool(panel.limits) <= _NAMED:
@@ -254,7 +255,8 @@ def _draw(axes: Any, panel: Panel, over: str) -> None:
 
 def _draw_bars(axes: Any, bars: Mapping[str, float]) -> None:
     names = list(bars)[::-1]
-    axes.barh(names, [bars[name] for name in names], color=_BAR)
+    axes.barh(range(len(names)), [bars[name] for name in names], color=_BAR)
+    axes.set_yticks(range(len(names)), [textwrap.fill(name, 24) for name in names])
     axes.set_title("largest multipliers", fontsize="medium")
     axes.tick_params(axis="y", labelsize="x-small")
     axes.set_xlabel("objective over unit of the constraint")

@@ -36,7 +36,7 @@ class Progress:
     A solve prints a line for each iteration: its cost, the largest violation and the largest relative change of an
     unknown. An integration and a sweep overwrite one line. Without a terminal a line is printed every
     five seconds.
-    Within `with progress:` a line with the elapsed seconds appears when there is no other output for a while. It is
+    Within `with progress:` a line with the elapsed seconds appears after some time without other output. It is
     also a callback of `Problem.solve`, and its method `reached` is one of `tx.integrate`.
 
     Args:
@@ -113,7 +113,7 @@ class Progress:
             print("\r\033[K", end="", file=self._stream, flush=True)
 
     def waited(self, since: float) -> None:
-        """Show the elapsed seconds if there was no output for a while; `since` is the start of the outermost call."""
+        """Show the elapsed seconds if there was no output for some time; `since` is the start of the outermost call."""
         now = time.perf_counter()
         if now - since < max(self._patience, 1.0) or now - self._written < (1.0 if self._live else _LOGGED):
             return

@@ -95,7 +95,7 @@ ROWS = [
     bad("ends of phases that are a number", lambda: two_phases().solve(final=3.0), "final", "3.0", "phases"),
     bad("a time of no phase", lambda: two_phases().solve(final_time={"c": 1.0}), "'c'", "'a', 'b'"),
     bad("parameters of phases that are a number", lambda: two_phases().solve(params=3.0), "params", "3.0"),
-    bad("derivatives of phases", lambda: tx.trajectory.solution(two_phases()), "solution", "no list of phases"),
+    bad("derivatives of phases", lambda: tx.trajectory.solution(two_phases()), "solution", "Problem of one phase"),
     bad("derivatives by text", lambda: tx.trajectory.solution(easy())(initial={"position": "a"}), "position", "'a'"),
     bad(
         "a problem of a system that is not compiled", lambda: problem(cart().system), "Problem", "System", "tx.compile"

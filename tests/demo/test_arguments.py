@@ -49,7 +49,8 @@ NONSENSE = {
     "--nodes 3": "expects a whole number from 5 to 200, got '3'",
     "--nodes many": "expects a whole number from 5 to 200, got 'many'",
     "--max-iterations 0": "expects a whole number from 1",
-    "--colour red": "unrecognized arguments",
+    "--colour red": "twistax demo: unrecognized arguments",
+    "--node 12": "did you mean --nodes?",
 }
 
 
@@ -131,14 +132,14 @@ def test_help_documents_the_start_and_the_perturbation(capsys: pytest.CaptureFix
 
 def test_examples_are_copied_and_nothing_is_written_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "new" / "examples"
-    assert main(["examples", "--out", str(out)]) == 0
+    assert main(["examples", str(out)]) == 0
     assert "free_body.py" in capsys.readouterr().out
     source = Path(__file__).parents[2] / "examples"
     for name in ("free_body.py", "panda.py", "panda.urdf"):
         assert (out / name).read_bytes() == (source / name).read_bytes()
     (out / "free_body.py").write_text("mine")
     assert main(["examples", "--out", str(out)]) == 2
-    assert "is there; name another folder with --out" in capsys.readouterr().err
+    assert " exists; name another folder" in capsys.readouterr().err
     assert (out / "free_body.py").read_text() == "mine"
     (tmp_path / "file").write_text("")
     assert main(["examples", "--out", str(tmp_path / "file" / "below")]) == 2

@@ -258,7 +258,7 @@ def test_what_does_not_converge_is_said_by_its_measure() -> None:
         ({"free": ["lenght"]}, tx.ModelError, "lenght"),
         ({"free": []}, tx.ModelError, "expects free parameters"),
         ({"measurements": []}, tx.ModelError, "expects measurements"),
-        ({"params": {"damping": 0.1}}, tx.InputError, "a value to begin with for 'length'"),
+        ({"params": {"damping": 0.1}}, tx.InputError, "an initial value for 'length'"),
         ({"params": {"damping": 0.1, "length": np.ones(2)}}, tx.ShapeError, r"params\['length'\]"),
         ({"priors": {DAMPING: (0.1, 0.1)}}, tx.ModelError, "priors names 'damping'"),
         ({"priors": {LENGTH: (0.1, -0.1)}}, tx.InputError, "positive definite"),

@@ -62,19 +62,19 @@ def outputs(**named: Any) -> Callable[[], tx.System]:
 WRONG: dict[str, tuple[Callable[[], tx.System], str, str]] = {
     "a force meant in world axes": (
         rates((g, V), (V, solve(M, lie.wrench(force=push, torque=ZERO) - BODY))),
-        "two frames meet: ",
+        "two frames are combined: ",
         "tx.lie.Inverse(g[:3, :3]) @ push",
     ),
     "a wrench of the world": (rates((g, V), (V, solve(M, far - BODY))), "two frames", "tx.lie.SE3AdjointDual"),
     "a twist in place of a momentum": (
         rates((g, V), (V, solve(M, W - lie.AdjointDual(V, V)))),
-        "a twist meets a wrench",
+        "a twist is combined with a wrench",
         "M @ V",
     ),
-    "a wrench as the rate of a twist": (rates((g, V), (V, W)), "a twist meets", "Solve(M, F)"),
+    "a wrench as the rate of a twist": (rates((g, V), (V, W)), "a twist is combined", "Solve(M, F)"),
     "a wrench carried as a twist": (
         rates((g, V), (V, solve(M, lie.SE3Adjoint(lie.Inverse(g)) @ far - BODY))),
-        "a twist meets",
+        "a twist is combined",
         "SE3AdjointDual",
     ),
     "the pose the wrong way": (
@@ -82,7 +82,11 @@ WRONG: dict[str, tuple[Callable[[], tx.System], str, str]] = {
         "two frames",
         "tx.lie.Inverse(g)",
     ),
-    "a power of two twists": (rates((g, V), (V, solve(M, W)), y=tx.linalg.Dot(V, M @ V + V)), "a twist meets", "power"),
+    "a power of two twists": (
+        rates((g, V), (V, solve(M, W)), y=tx.linalg.Dot(V, M @ V + V)),
+        "a twist is combined",
+        "power",
+    ),
     "a torque of the world": (rates((R, w), (w, solve(J, R @ w))), "two frames", "R maps 'body' to 'world'"),
     "a quaternion the wrong way": (
         rates((q, tx.spatial.SSMP(w) @ q / 2), (w, solve(J, tx.spatial.QDCM(q) @ torque))),
@@ -177,7 +181,7 @@ def test_what_a_leaf_leaves_open_is_inferred() -> None:
     lines = str(known).splitlines()
     assert lines[lines.index("states") + 2] == "  V  a twist, in 'body', unit 1/s  (declared)"
     assert lines[lines.index("controls") + 1] == "  F  a wrench or momentum, in 'body', unit open"
-    with pytest.raises(tx.KindError, match="two frames meet"):
+    with pytest.raises(tx.KindError, match="two frames are combined"):
         tx.System(rates={g: V, V: solve(M, open_force - BODY)}, outputs={"y": open_force + far})
 
 
@@ -227,7 +231,7 @@ def test_one_leaf_of_a_name_may_leave_its_kind_open_and_two_kinds_are_refused() 
     plain, other = tx.State("V", shape=(6,)), tx.State("V", shape=(6,), kind=tx.Wrench("body"))
     for state, used in ((typed, plain), (plain, typed)):
         tx.System(rates={state: -1.0 * state}, outputs={"y": used})
-        with pytest.raises(tx.KindError, match="a twist meets"):
+        with pytest.raises(tx.KindError, match="a twist is combined"):
             tx.System(rates={state: -1.0 * state}, outputs={"y": used + W}, controls=[W])
     with pytest.raises(tx.ModelError, match=r"two leaves are named 'V'.*differ in kind"):
         tx.System(rates={typed: -1.0 * typed}, outputs={"y": other})
@@ -263,14 +267,14 @@ def test_fleets_have_the_kinds_of_one_copy(count: int) -> None:
             joined(wrong)
     along = tx.Control("along", (3,), kind=vector("world"))
     tx.join(fleet, outputs={"right": fleet.output("p")[0] @ along})
-    with pytest.raises(tx.KindError, match="two frames meet"):
+    with pytest.raises(tx.KindError, match="two frames are combined"):
         tx.join(fleet, outputs={"wrong": fleet.output("v")[0] @ along})
 
 
 def test_copies_under_other_names_keep_what_expressions_declare() -> None:
     left = craft().renamed("left_")
     along = tx.Control("along", (3,), kind=vector("body"))
-    with pytest.raises(tx.KindError, match="two frames meet"):
+    with pytest.raises(tx.KindError, match="two frames are combined"):
         tx.join(left, outputs={"wrong": left.output("left_p") @ along})
     assert "in 'world'" in str(tx.compile(left).explain(kinds=True)).split("left_p")[1]
 
@@ -284,5 +288,5 @@ def test_a_map_with_other_batches_is_no_false_alarm() -> None:
     sums = {"c": back + world, "d": back.with_children([body]) + body}
     tx.System(rates={p: v, v: -1.0 * v}, outputs=sums)
     alike = back.with_children([tx.Parameter("other", (5, 3), kind=vector("world"))])
-    with pytest.raises(tx.KindError, match="two frames meet"):
+    with pytest.raises(tx.KindError, match="two frames are combined"):
         tx.System(rates={p: v, v: -1.0 * v}, outputs=sums | {"wrong": alike + body})

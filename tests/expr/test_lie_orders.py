@@ -118,7 +118,9 @@ def test_two_orders_meet(misread: tx.Expr) -> None:
     with pytest.raises(tx.OrderError) as caught:
         body(outputs={"misread": misread})
     first, *places, fix = str(caught.value).splitlines()
-    assert re.match(r"two orders of six-vectors meet.*: (LINEAR|ANGULAR)_FIRST and (LINEAR|ANGULAR)_FIRST\.$", first)
+    assert re.match(
+        r"two orders of six-vectors are combined.*: (LINEAR|ANGULAR)_FIRST and (LINEAR|ANGULAR)_FIRST\.$", first
+    )
     assert len(places) == 2
     assert sorted(re.findall(r"is (\w+)_FIRST", "\n".join(places))) == ["ANGULAR", "LINEAR"]
     assert any("outputs['misread']" in place for place in places)

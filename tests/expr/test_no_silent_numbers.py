@@ -180,7 +180,7 @@ def test_long_integers_without_x64(value: Any) -> None:
         p = tx.Parameter("p")
         dynamics = tx.compile(tx.System({s: p * s}))
         np.testing.assert_allclose(dynamics(0.0, {"s": 1.0}, None, {"p": value})["s"], float(value), rtol=1e-7)
-        with pytest.raises(tx.InputError, match=r"params\['p'\] has 1e\+200, which float32 cannot hold"):
+        with pytest.raises(tx.InputError, match=r"params\['p'\] has 1e\+200, which does not fit in float32"):
             dynamics(0.0, {"s": 1.0}, None, {"p": 1e200})
 
 
@@ -214,10 +214,10 @@ def test_lists_with_traced_entries_come_in() -> None:
 
 def test_functions_of_others_are_not_numpys() -> None:
     sign = np.frompyfunc(lambda a: 7.0, 1, 1)  # any name may be NumPy's too
-    with pytest.raises(TypeError, match="is no ufunc of NumPy"):
+    with pytest.raises(TypeError, match="is not a ufunc of NumPy"):
         sign(v)
     special = pytest.importorskip("scipy.special")
-    with pytest.raises(TypeError, match="is no ufunc of NumPy"):
+    with pytest.raises(TypeError, match="is not a ufunc of NumPy"):
         special.log1p(v)
 
 
@@ -285,7 +285,7 @@ def test_a_traced_attitude_that_is_none_is_nan() -> None:
         np.testing.assert_array_equal(jax.jit(read)(jnp.eye(3)), read(jnp.eye(3)))
 
 
-_BEYOND = "float64 can hold|real numbers"
+_BEYOND = "fit in float64|real numbers"
 
 
 @pytest.mark.parametrize(
@@ -345,7 +345,7 @@ def test_more_than_double_precision_is_double() -> None:
     dynamics = tx.compile(tx.System(rates={s: 2.0 * s}))
     assert dynamics(0.0, {"s": np.longdouble(1.5)})["s"].dtype == np.float64
     if np.finfo(np.longdouble).max > np.finfo(float).max:
-        with pytest.raises(tx.InputError, match="float64 can hold"):
+        with pytest.raises(tx.InputError, match="fit in float64"):
             dynamics(0.0, {"s": np.longdouble("1e400")})
 
 
@@ -353,9 +353,9 @@ def test_nothing_becomes_infinite_in_single_precision() -> None:
     """A parameter of JAX's in double precision beside a state in single; the end of an integration."""
     dynamics = tx.compile(tx.System(rates={s: tx.Parameter("p") * s}))
     x = {"s": np.float32(1.0)}
-    with pytest.raises(tx.InputError, match="1e\\+300, which float32 cannot hold"):
+    with pytest.raises(tx.InputError, match="1e\\+300, which does not fit in float32"):
         dynamics(0.0, x, None, {"p": jnp.asarray(1e300)})
-    with pytest.raises(tx.InputError, match="t1 has 1e\\+39, which float32 cannot hold"):
+    with pytest.raises(tx.InputError, match="t1 has 1e\\+39, which does not fit in float32"):
         tx.integrate(dynamics, x, t1=1e39, steps=2, params={"p": 0.0})
     for name, value, place in (
         ("dt", 1e39, "dt"),
@@ -364,19 +364,21 @@ def test_nothing_becomes_infinite_in_single_precision() -> None:
         ("jumps", [0.5, 1e39], "jumps"),
     ):
         given = {"rtol": 1e-3, "atol": 1e-3, name: value}
-        with pytest.raises(tx.InputError, match=f"^{place} has 1e\\+39, which float32 cannot hold"):
+        with pytest.raises(tx.InputError, match=f"^{place} has 1e\\+39, which does not fit in float32"):
             tx.integrate(dynamics, x, t1=1.0, params={"p": 0.0}, **given)
     pushed = tx.compile(tx.System(rates={s: tx.Control("F") * s}))
     table = tx.ZeroOrderHold(np.array([0.0, 0.5]), np.array([0.0, 1e39]))
-    with pytest.raises(tx.InputError, match=r"^values of a table of controls has 1e\+39, which float32 cannot hold"):
+    with pytest.raises(
+        tx.InputError, match=r"^values of a table of controls has 1e\+39, which does not fit in float32"
+    ):
         tx.integrate(pushed, x, t1=1.0, rtol=1e-3, u={"F": table})
-    with pytest.raises(tx.InputError, match=r"^what an event compares with has 1e\+39, which float32 cannot hold"):
+    with pytest.raises(tx.InputError, match=r"^what an event compares with has 1e\+39, which does not fit in float32"):
         tx.integrate(dynamics, x, t1=1.0, rtol=1e-3, params={"p": 0.0}, event=tx.Event(s >= 1e39))
     phases = [tx.Phase(dynamics, duration=1.0)] * 2
-    with pytest.raises(tx.InputError, match=r"links\[0\]\['s'\] has 1e\+39, which float32 cannot hold"):
+    with pytest.raises(tx.InputError, match=r"links\[0\]\['s'\] has 1e\+39, which does not fit in float32"):
         tx.integrate_phases(phases, x, links=[{"s": 1e39}], dt=0.5, params={"p": 0.0})
     large = tx.compile(tx.System(rates={tx.State("y", scale=1e39): 0.0}))
-    with pytest.raises(tx.InputError, match=r"^scale of state 'y' has 1e\+39, which float32 cannot hold"):
+    with pytest.raises(tx.InputError, match=r"^scale of state 'y' has 1e\+39, which does not fit in float32"):
         tx.integrate(large, {"y": np.float32(1.0)}, t1=1.0, rtol=1e-3)
 
 

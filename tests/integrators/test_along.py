@@ -102,7 +102,7 @@ def test_rows_that_were_not_reached_have_no_outputs_and_lost_values_are_named() 
 
     late = jax.vmap(lambda force: fly(force).outputs["late"])(jnp.array([1.0, 0.25]))
     np.testing.assert_allclose(late, 3.0 * np.array([[0.0, 0.5, 0.75, np.nan, 0.75], [*TIMES, 2.0]]), atol=1e-12)
-    with pytest.raises(tx.InputError, match=r"u reads values that were there only within jax\.vmap"):
+    with pytest.raises(tx.InputError, match=r"u reads values that existed only within jax\.vmap"):
         _ = jax.vmap(fly)(jnp.array([1.0, 0.25])).us
 
 

@@ -89,7 +89,7 @@ def test_failures_raise_as_they_do_there_unless_told_otherwise() -> None:
         ({"x0": [1.0]}, "x0 must be a dict"),
         ({"x0": {"w": np.zeros(2)}}, r"x0\['w'\] expects shape \(3,\), got \(2,\)"),
         ({"x0": {"w": np.array([0.0, np.nan, 0.0])}}, r"x0\['w'\] expects finite"),
-        ({"x0": {"R": 2.0 * np.eye(3)}}, r"x0\['R'\] is no element of SO3"),
+        ({"x0": {"R": 2.0 * np.eye(3)}}, r"x0\['R'\] is not an element of SO3"),
         ({"params": {"J": "heavy"}}, r"params\['J'\] expects real numbers"),
         ({"u": {"torque": np.zeros(3)}}, "FirstOrderHold of shape"),
         ({"u": {"torque": tx.ZeroOrderHold(TIMES, ROWS)}}, "FirstOrderHold of shape"),

@@ -87,9 +87,9 @@ def test_another_parameter_of_equal_value() -> None:
 @pytest.mark.parametrize(
     ("rates", "body", "message"),
     [
-        (turning(), tx.FreeBody("R", "q", inertia=TENSOR), "'q' is no state of the system; it has: 'R', 'w'"),
+        (turning(), tx.FreeBody("R", "q", inertia=TENSOR), "'q' is not a state of the system; it has: 'R', 'w'"),
         (turning() | {p: v, v: -p}, tx.FreeBody("R", "p", inertia=TENSOR), "no body covers state 'w'"),
-        ({p: v, v: -p}, tx.FreeBody("p", "v", inertia=TENSOR), "state 'p' is no rotation or pose"),
+        ({p: v, v: -p}, tx.FreeBody("p", "v", inertia=TENSOR), "state 'p' is not a rotation or a pose"),
         (turning(), tx.FreeParticle("R", "w"), "two states without a group"),
         (turning(), tx.FreeBody("R", "w", inertia=np.eye(6)), r"shape \(3,\) or \(3, 3\) on SO3, got \(6, 6\)"),
         (turning(), tx.FreeBody("R", "w", inertia=-TENSOR), "positive principal moments"),

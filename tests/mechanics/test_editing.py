@@ -130,7 +130,7 @@ def test_what_cannot_be_locked(unchecked: None) -> None:
         arm.lock({"joint1": tx.State("other")})
     with pytest.raises(ModelError, match="expects positions by the names of joints"):
         arm.lock("joint1")  # type: ignore[arg-type]
-    with pytest.raises(ModelError, match="joins two frames of one body"):
+    with pytest.raises(ModelError, match="connects two frames of one body"):
         four_bar().lock({"crank": 0.0, "coupler": 0.0, "rocker": 0.0})
 
 

@@ -69,8 +69,11 @@ RIGHT: dict[str, Callable[[], tx.System]] = {
 }
 WRONG: dict[str, tuple[Callable[[], tx.System], str]] = {
     "a wrench of another link": (lambda: wrench_at("hinge", tx.Wrench("hub")), "'hub' and 'hinge'"),
-    "a wrench of the world": (lambda: wrench_at("tip", tx.Wrench("world")), "two frames meet: 'world' and 'tip'"),
-    "a twist for a wrench": (lambda: wrench_at("tip", tx.Twist("tip")), "a twist meets a wrench"),
+    "a wrench of the world": (
+        lambda: wrench_at("tip", tx.Wrench("world")),
+        "two frames are combined: 'world' and 'tip'",
+    ),
+    "a twist for a wrench": (lambda: wrench_at("tip", tx.Twist("tip")), "a twist is combined with a wrench"),
     "a position in a link": (lambda: position_of("tip", relative_to="dish"), "'base' and 'dish'"),
     "a force in inertial axes": (lambda: pushed("inertial"), "'body' and 'inertial'"),
     "a moment for a force": (lambda: pushed("body", "N m"), "Add has one unit"),
@@ -138,7 +141,7 @@ def test_an_expression_that_declares_asks_for_the_check() -> None:
     R, v = tx.State("R", group=tx.SO3), tx.State("v", shape=(3,))
     rates = {R: np.zeros(3), v: -1.0 * v}
     turned = tx.kinds.declare(R @ v, tx.FreeVector("world"))
-    with pytest.raises(tx.KindError, match="two frames meet"):
+    with pytest.raises(tx.KindError, match="two frames are combined"):
         tx.System(rates=rates, outputs={"y": turned + tx.kinds.declare(R.T @ v, tx.FreeVector("body"))})
     with pytest.raises(tx.ModelError, match="expects a kind or a unit"):
         tx.kinds.declare(v)

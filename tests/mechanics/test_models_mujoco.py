@@ -167,7 +167,7 @@ def test_what_is_not_used_is_said() -> None:
         "geoms of meshes and height fields: 1",
         "sensors: 1",
         "geoms that are not drawn, meshes and planes: 1",
-        "an actuator of joint 'turn', whose force is no linear function of control and motion",
+        "an actuator of joint 'turn', whose force is not a linear function of control and motion",
         "contacts of geoms: 6",
         "dry friction of joints is smooth here, see Drive",
     )
@@ -260,7 +260,7 @@ def test_equalities_are_loops_and_followers(driven: str, tmp_path: Path) -> None
     ]
     assert robot.notes == (
         "equality 'post', which the file switches off",
-        "equality 'cam', which is no linear relation of two joints",
+        "equality 'cam', which is not a linear relation of two joints",
         "equalities are exact here: solref and solimp are not used",
     )
     data = mujoco.MjData(model)
@@ -318,7 +318,7 @@ def test_equalities_that_say_nothing_are_noted(tmp_path: Path) -> None:
     )
     assert mechanics.load(path).notes == (
         "equality 'w', between bodies that do not move against each other",
-        "equality 'j', which is no linear relation of two joints",
+        "equality 'j', which is not a linear relation of two joints",
     )
 
 

@@ -13,7 +13,9 @@ from twistax.report.harness.report import SectionReport
 
 NONSENSE = {
     "--scene moon": "there is no scene 'moon'; there are euler-top, ",
-    "--method rk5": "there is no method 'rk5'; there are rk4, ",
+    "--scene eulertop": "there is no scene 'eulertop'; did you mean euler-top?",
+    "--figure": "unrecognized arguments: --figure; did you mean --figures?",
+    "--method rk5": "there is no method 'rk5'; did you mean rk4?",
     "--speed --case moon": "there is no case 'moon'; there are free-body, ",
     "--figures --only moon": "there is no section 'moon'; there are identities, ",
     "--renew moon": "there is no file 'moon'",
@@ -55,7 +57,7 @@ def test_an_interrupted_run_says_how_to_go_on(
 
     monkeypatch.setattr(SectionReport, "measure", interrupt)
     assert main(["report", "--figures", "--out", str(tmp_path)]) == 130
-    assert "interrupted; the same command goes on" in capsys.readouterr().err
+    assert "interrupted; repeat the command to resume" in capsys.readouterr().err
 
 
 def test_options_are_read_before_anything_heavy_is_loaded() -> None:

@@ -254,7 +254,7 @@ def test_what_no_value_can_meet_is_refused(beyond: Any, end: bool) -> None:
     x, u = tx.State("x"), tx.Control("u")
     rates, asked = {x: u}, [beyond(x)]
     dynamics = tx.compile(tx.System(rates=rates, constraints=[] if end else asked))
-    with pytest.raises(ModelError, match="expects numbers that a value can meet, got an infinite one"):
+    with pytest.raises(ModelError, match="expects a limit that a value can satisfy, got an infinite one"):
         Problem(dynamics, tx.Minimize(running=u**2), nodes=3, final_time=1.0, final=asked if end else None, **EULER)
 
 

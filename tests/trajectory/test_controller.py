@@ -273,7 +273,7 @@ def test_what_does_not_fit_is_refused() -> None:
     ):
         with pytest.raises(tx.TwistaxError, match=match):
             controller.prepare(**wrong)
-    with pytest.raises(tx.InputError, match="no element of SO3"):
+    with pytest.raises(tx.InputError, match="not an element of SO3"):
         pointing().controller().feedback({"R": 2.0 * np.eye(3), "w": np.zeros(3)})
     assert np.isfinite(controller.feedback(x)["u"])
 

@@ -256,5 +256,5 @@ def test_messages_name_no_violation_of_a_soft_constraint() -> None:
     result = problem.solve(callback=lambda iteration, *_: iteration >= 3)
     assert result.status is Status.STOPPED
     assert "Worst: 'slow'" in result.message
-    named = float(result.message.partition("off by ")[2].split(";")[0])
+    named = float(result.message.partition("violated by ")[2].split(";")[0])
     assert named < 0.7 * result.soft["slow"]

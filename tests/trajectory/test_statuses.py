@@ -40,7 +40,7 @@ def stated() -> Problem:
 def test_too_little_time_is_infeasible_and_names_what_gives() -> None:
     result = stated().solve(final_time=1.0)
     assert result.status is Status.INFEASIBLE
-    assert "'final p' at node 7 is off by" in result.message
+    assert "'final p' at node 7 is violated by" in result.message
     assert result.violation > 1e-2
     assert not result.solved
 
@@ -48,14 +48,14 @@ def test_too_little_time_is_infeasible_and_names_what_gives() -> None:
 def test_an_end_beyond_a_wall_names_the_wall_and_the_node() -> None:
     result = stated().solve(final={"p": 2.5, "v": 0.0})
     assert result.status is Status.INFEASIBLE
-    assert "'wall' at node 7 is off by 0.5" in result.message
+    assert "'wall' at node 7 is violated by 0.5" in result.message
     assert result.violations["wall"] == pytest.approx(0.5)
 
 
 def test_a_start_beyond_a_wall_is_said_at_once() -> None:
     result = stated().solve(initial={"p": 3.0, "v": 0.0})
     assert result.status is Status.INFEASIBLE
-    assert "'wall' at node 0 is off by 1" in result.message
+    assert "'wall' at node 0 is violated by 1" in result.message
     assert result.iterations == 1
 
 
@@ -105,7 +105,7 @@ def test_an_objective_without_bound_is_said() -> None:
         dynamics, tx.Minimize(running=-(u**2)), nodes=4, final_time=3.0, final=ends, **start, **HEUN
     ).solve()
     assert result.status is Status.UNBOUNDED
-    assert "nothing limits" in result.message
+    assert "a limit is missing" in result.message
     assert result.iterations < 200
 
 

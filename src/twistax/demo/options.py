@@ -10,17 +10,17 @@ if TYPE_CHECKING:
     from ..scenes.powered_descent import Start
 
 _EXAMPLE = "height=900,offset=400:150,velocity=-60:-20:-100,tilt=60"
-_INITIAL = f"""where the descent begins, for example {_EXAMPLE}
-items are NAME=VALUE, separated by commas; numbers of a vector by colons; what is left out keeps its default
+_INITIAL = f"""the initial state, for example {_EXAMPLE}
+items are NAME=VALUE, separated by commas; numbers of a vector by colons; omitted items keep their defaults
   height    m above the pad (900)
   offset    m from the pad, x:y (400:150)
   velocity  m/s in world axes, x:y:z, z up (-60:-20:-100)
   tilt      degrees from upright, 0 to 180 (60)
-  axis      world axis it is tilted about, x:y:z (-0.2:-1:0)
-  righting  degrees a second about that axis, back towards upright (4.6)"""
-_SEED = """start the search from a perturbed guess: at every node, position +- 40 m, attitude +- 0.2 rad,
-velocity +- 20 m/s, angular velocity +- 0.12 rad/s, mass +- 1200 kg, thrust +- 120 kN, each entry drawn
-by itself, and the flight time +- 2 s (one standard deviation each); the same seed gives the same guess"""
+  axis      world axis of the tilt, x:y:z (-0.2:-1:0)
+  righting  degrees per second about that axis, towards upright (4.6)"""
+_SEED = """start the solve from a perturbed guess: at every node, position +- 40 m, attitude +- 0.2 rad,
+velocity +- 20 m/s, angular velocity +- 0.12 rad/s, mass +- 1200 kg, thrust +- 120 kN, independent for
+each entry, and the flight time +- 2 s (standard deviations); the same seed gives the same guess"""
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -29,9 +29,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     options = {
         "--initial": (parse_start, "START", None, _INITIAL),
         "--guess-seed": (_integer(0, 2**32 - 1), "N", None, _SEED),
-        "--nodes": (_integer(5, 200), "N", 25, "nodes of the search, 5 to 200 (25)"),
-        "--max-iterations": (_integer(1, 10**6), "N", 400, "iterations after which the search gives up (400)"),
-        "--out": (Path, "DIR", Path("out"), "folder for figure and table (./out)"),
+        "--nodes": (_integer(5, 200), "N", 25, "nodes of the first mesh, 5 to 200 (25)"),
+        "--max-iterations": (_integer(1, 10**6), "N", 400, "the largest number of iterations (400)"),
+        "--out": (Path, "DIR", Path("out"), "folder for figures, animations and the table (./out)"),
     }
     for name, (read, metavar, default, text) in options.items():
         parser.add_argument(name, type=read, metavar=metavar, default=default, help=text)

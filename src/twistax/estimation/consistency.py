@@ -27,7 +27,7 @@ class Verdict(enum.Enum):
 
 @dataclasses.dataclass(frozen=True)
 class Consistency:
-    """The test of normalised squared errors $e^T P^-1 e$, of mean n for a consistent covariance.
+    """The test of normalised squared errors $e^T P^-1 e$, whose mean is n for a consistent covariance.
 
     Attributes:
         verdict: a `Verdict`.

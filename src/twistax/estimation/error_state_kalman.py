@@ -86,12 +86,13 @@ class ErrorStateKalman(Filter):
         dtype: Any = np.float64,
         tolerance: float | None = None,
     ) -> CFiles:
-        """Write C99 code: `name.h`, which tells the call convention, `name.c`, and `name_test.c` with reference values.
+        """Write C99 code: Write `name.h` with the calling convention, `name.c`, and `name_test.c` with reference
+        values.
 
-        `name_predict` takes time, states, controls, parameters, P and the length of the step h, and gives the states
-        and P after it. `name_update_gps` takes the value of the measurement "gps" and gives states, P and the
-        normalised innovation squared; beyond the gate states and P stay. They are `predict` and `update` of this
-        filter, allocate nothing and need libm only. Of P the lower triangle is read. The filter needs
+        `name_predict` takes time, states, controls, parameters, P and the step size h, and returns the states and P
+        after the step. `name_update_gps` takes the value of the measurement "gps", and returns states, P and the
+        normalised innovation squared; beyond the gate states and P are unchanged. They compute `predict` and `update`
+        of this filter, allocate no memory and need only libm. Only the lower triangle of P is read. The filter needs
         `noise=tx.estimation.Trapezoidal()`.
 
         Args:

@@ -92,7 +92,7 @@ class Filter(ABC):
 
     @functools.cached_property
     def in_arrays(self) -> Filter:
-        """The filter with all functions as operations of JAX, of which kernels and C are made."""
+        """The filter with all functions as operations of JAX, from which kernels and C code are made."""
         in_arrays = copy.copy(self)
         in_arrays.model = self.model.in_arrays
         return in_arrays
@@ -108,10 +108,10 @@ class Filter(ABC):
 
     @abstractmethod
     def corrected(self, name: str, point: OperatingPoint, P: jax.Array, z: jax.Array, limit: float | None) -> Update:
-        """The estimate after a measurement of which the normalised innovation is below the limit."""
+        """The estimate after a measurement whose normalised innovation is below the limit."""
 
     def factored(self, P: jax.Array) -> jax.Array:
-        """What `propagated` and `corrected` take and return instead of a covariance: here the covariance."""
+        """The form of the covariance that `propagated` and `corrected` take and return: here the covariance itself."""
         return P
 
     def multiplied(self, factor: jax.Array) -> jax.Array:
@@ -222,10 +222,10 @@ class Filter(ABC):
         u: Mapping[str, Any] | Callable[[Any], Mapping[str, Any]] | None = None,
         params: Values | None = None,
     ) -> str:
-        """Which states measurements at some times would tell: the observability of the system along a motion, as text.
+        """The observability of the system along a motion with measurements at some times, as text.
 
-        The Gramian is that of the motion from x0 without noise, so its rank is that of the system, before there is any
-        data. `FilterRun.observability` has that of a run.
+        The Gramian is evaluated along the motion from x0 without noise, so its rank is that of the system. No data are
+        needed. `FilterRun.observability` is the Gramian of a run.
 
         Args:
             times: by measurement, (k,) in s.

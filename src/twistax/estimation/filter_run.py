@@ -74,7 +74,9 @@ class FilterRun:
 
     @property
     def result(self) -> str:
-        """What happened, and when: "successful", numbers that are not finite, or a covariance that is not positive."""
+        """The status: "successful", or the failure with its time: non-finite numbers, or a covariance that is not
+        positive semidefinite.
+        """
         P = np.asarray(self.P, float)
         finite = np.isfinite(P).all(axis=(-2, -1))
         for x in self.xs.values():
@@ -109,6 +111,7 @@ class FilterRun:
         root = jnp.sqrt(jnp.diagonal(self.P, axis1=-2, axis2=-1))
         return {name: root[..., part] for name, part in self.group.slices.items()}
 
+    @watching("errors")
     def errors(self, truth: Mapping[str, Any]) -> jax.Array:
         """The errors $Log(x^-1 x_true)$, (k, n), of true states by name at the times of the run.
 
@@ -125,6 +128,7 @@ class FilterRun:
             difference = jax.vmap(difference)
         return difference(self.xs, states)
 
+    @watching("errors")
     def nees(self, truth: Mapping[str, Any]) -> jax.Array:
         """The normalised estimation error squared $e^T P^-1 e$, (k,); of mean n for a consistent covariance.
 
@@ -150,7 +154,7 @@ class FilterRun:
 
     @watching("smooth")
     def smooth(self, smoother: RauchTungStriebel | FixedLagSmoother | None = None) -> Smoothed:
-        """The states that use later measurements too, all of them by `RauchTungStriebel()`, the default. Traceable."""
+        """Estimates that also use later measurements, by default all of them, by `RauchTungStriebel()`. Traceable."""
         smooth = functools.partial((smoother or RauchTungStriebel()).smooth, self.group)
         for _ in range(self.ts.ndim - 1):
             smooth = jax.vmap(smooth)

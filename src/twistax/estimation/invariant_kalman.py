@@ -22,10 +22,10 @@ from .process_noise import NoiseDiscretization
 
 
 class Invariance(enum.Enum):
-    """On which side the error of an invariant filter stands.
+    """The side of the error of an invariant filter.
 
-    LEFT: $x_true = x Exp(e)$, for measurements from outside, such as a position in the world. RIGHT: $x_true = Exp(e)
-    x$, for those from the body, such as the direction of a landmark.
+    LEFT: $x_true = x Exp(e)$, for measurements in world axes, such as a position. RIGHT: $x_true = Exp(e) x$, for
+        measurements in body axes, such as the direction of a landmark.
     """
 
     LEFT = "left"
@@ -36,14 +36,14 @@ class InvariantKalman(ErrorStateKalman):
     """The invariant extended Kalman filter: the error-state filter without a reset of the covariance.
 
     For a group-affine system the transition of the invariant error e does not depend on the estimate, and Exp(e) is
-    propagated exactly however large e is. So the covariance of e is left as it is when the estimate moves:
-    $P = (I - K H) P (I - K H)^T + K R K^T$ in the tangent space of e.
+    propagated exactly for any size of e. So the covariance of e does not change when the estimate is corrected: $P = (I
+    - K H) P (I - K H)^T + K R K^T$ in the tangent space of e.
 
     `run.P` and P0 are those of right perturbations, $x_true = x Exp(d)$, as of all filters here. With LEFT e is d. With
-    RIGHT $e = Ad_x d$, of covariance $Ad_x P Ad_x^T$, and what leaves that one as it is is the reset $Ad_Exp(-d)$ of P.
-    To first order filters of both sides are one filter; they differ by the square of the correction.
+    RIGHT $e = Ad_x d$ has the covariance $Ad_x P Ad_x^T$. The reset of P by $Ad_Exp(-d)$ keeps this covariance
+    constant. To first order the filters of both sides agree; they differ by the square of the correction.
 
-    Attitude, velocity and position are a state of `tx.ExtendedPose`; as three states they are not group-affine.
+    Use one state on `tx.ExtendedPose` for attitude, velocity and position; as three states they are not group-affine.
 
     Args:
         dynamics, measurements, method, max_step, gate, noise: as of `ErrorStateKalman`.
@@ -51,7 +51,7 @@ class InvariantKalman(ErrorStateKalman):
     Raises:
         ModelError: what `ErrorStateKalman` refuses.
 
-    Example: `tx.estimation.InvariantKalman(dynamics, [gps]).affinity()` says whether the system is group-affine.
+    Example: `tx.estimation.InvariantKalman(dynamics, [gps]).affinity()` tests whether the system is group-affine.
 
     Source: Barrau, Bonnabel, The invariant extended Kalman filter as a stable observer, IEEE TAC 62 (2017), eq. 14 to
     22.
@@ -115,8 +115,8 @@ def group_affinity(
     """Whether the rates f of a system are group-affine.
 
     For all states a and b they satisfy $f(a b) = f(b) + Ad_b^-1 (f(a) - f(e))$, e the neutral element and f body
-    velocities. Then, and only then, errors $a^-1 b$ have rates of their own. It is
-    measured at random states, and at random controls where none are passed, so it is a test and no proof.
+    velocities. This holds if and only if the rates of the errors $a^-1 b$ depend on the errors alone. It is evaluated
+    at random states, and at random controls if none are passed, so it is a test and not a proof.
 
     Args:
         u: controls.

@@ -76,7 +76,7 @@ def _group(place: str, value: Expr, group: Group | None) -> Group:
         known: dict[tuple[int, ...], Group] = {(3, 3): SO3, (4, 4): SE3}
         return known[value.shape] if value.is_group_element else Euclidean(value.shape)
     if not isinstance(group, Group):
-        raise ModelError(f"{place}: group must be tx.SO3, tx.SE3 or a group of your own, got {group!r}")
+        raise ModelError(f"{place}: group must be tx.SO3, tx.SE3 or another Group, got {group!r}")
     if group.shape != value.shape:
         raise ShapeError(f"{place} on {group.name} expects a value of shape {group.shape}, got {value.shape}")
     return group

@@ -18,7 +18,7 @@ LocalNoise: TypeAlias = Callable[[float], tuple[jax.Array, jax.Array]]
 
 
 class NoiseDiscretization(ABC):
-    """How continuous noise becomes the covariance of a prediction, $P = Phi P Phi^T + Q$.
+    """The covariance Q of a prediction, $P = Phi P Phi^T + Q$, from continuous noise.
 
     Q is (n, n), in products of the units of a tangent.
 
@@ -57,8 +57,8 @@ class VanLoan(NoiseDiscretization):
 class Trapezoidal(NoiseDiscretization):
     """$Q = h / 2 (Phi G_0 W_0 G_0^T Phi^T + G_1 W_1 G_1^T)$, the trapezoidal rule of the same integral.
 
-    Its error is proportional to the third power of h in s. It is a few sums where the exponential is a program, so a
-    filter in C takes it.
+    Its error is proportional to the third power of h in s. It needs a few sums in place of a matrix exponential, so
+    filters in C use it.
 
     Raises: nothing.
 

@@ -70,7 +70,7 @@ class Leaf(Expr):
         raise NotImplementedError
 
     def check_in_system(self) -> None:
-        """Raise ModelError if it cannot have a value in a system."""
+        """Raise ModelError if this leaf cannot have a value in a system."""
 
     def to_text(self, *operands: str) -> str:
         return self.name
@@ -234,7 +234,7 @@ class State(Variable):
         group = group_of(name, shape, group, order)
         if not group.flat and (min is not None or max is not None):
             raise ModelError(
-                f"State {name!r} lives on {group.name}: a box of {group.shape} entries has no meaning there.\n"
+                f"State {name!r} is on {group.name}: bounds on its {group.shape} entries are not defined.\n"
                 "  fix: constrain an expression of it, e.g. g[2, 3] >= 0"
             )
         ends = {
@@ -300,7 +300,7 @@ class Control(Variable):
 
 
 class Parameter(Leaf):
-    """A value fixed during a run and free between runs: mass, inertia, a table.
+    """A value that is constant during a run and may change between runs: mass, inertia, a table.
 
     It is an input of the lowered function, not a constant, unless it is baked in.
 

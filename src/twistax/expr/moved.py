@@ -145,7 +145,7 @@ def earlier_classes(module: str) -> Callable[[str], Any]:
             return getattr(importlib.import_module(f"{_PACKAGE}.{home}"), class_name)
         if qualified in _UNREAD_CLASSES or (below in _UNREAD and not name.startswith("_")):
             raise ModelError(
-                f"this pickle has a {name} of an earlier version of twistax, which this version cannot read.\n"
+                f"this pickle has a {name} of an earlier version of twistax, which this version does not support.\n"
                 "  fix: state the problem again and solve it, with the earlier xs and us as guess; the version that "
                 "wrote the pickle reads it"
             )

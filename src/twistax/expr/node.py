@@ -205,7 +205,7 @@ class Expr(Printed, Operators):
         return self.children()
 
     def evaluate_on_demand(self, values: list[jax.Array], branches: Sequence[Callable[[], jax.Array]]) -> jax.Array:
-        """Value from those of the eager children; a branch is evaluated when it is called."""
+        """Value from the values of the eager children; a branch is evaluated when it is called."""
         return self.evaluate(*values)
 
     def simplify(self) -> Expr:
@@ -387,7 +387,7 @@ def to_numbers(owner: str, child: Expr) -> Expr:
     if child.boolean and not child.is_leaf:
         raise ModelError(
             f"{owner} expects numbers, got the condition {child!r}.\n"
-            "  fix: say which numbers it stands for: tx.Where(condition, 1.0, 0.0)"
+            "  fix: choose the numbers: tx.Where(condition, 1.0, 0.0)"
         )
     return to_expr(np.asarray(cast("Any", child).value, float)) if child.boolean else child
 

@@ -18,7 +18,7 @@ class Noise(Leaf):
     """White noise of mean zero, for rates and measurements. A compiled system sets it to zero.
 
     In rates it is continuous in time: $E[w(t) w(s)^T] = S S^T delta(t - s)$, S the density. A random walk is a state
-    whose rate is a Noise. In a measurement with samples every T seconds it adds the covariance $S S^T / T$.
+    whose rate is a Noise. In a measurement with a sampling time T it adds the covariance $S S^T / T$.
 
     Args:
         name: unique among the leaves of a system.

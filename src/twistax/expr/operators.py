@@ -89,7 +89,7 @@ class Operators:
         name = ufunc.__name__
         if getattr(np, name, None) is not ufunc:
             raise OperationError(
-                f"{ufunc!r} is no ufunc of NumPy and is not defined for expressions.\n"
+                f"{ufunc!r} is not a ufunc of NumPy and is not defined for expressions.\n"
                 "  fix: build it from tx nodes, or lower first (tx.lower(expr)) and apply it to the numbers"
             )
         function = _meaning(name, self)
@@ -120,7 +120,7 @@ class Operators:
 
     def __format__(self, spec: str) -> str:
         if spec:
-            raise OperationError(f"{self!r} with the format {spec!r}: {_NUMBER}.\n  fix: format the number that comes")
+            raise OperationError(f"{self!r} with the format {spec!r}: {_NUMBER}.\n  fix: format the evaluated number")
         return str(self)
 
     def __array__(self, *args: Any, **kwargs: Any) -> Any:

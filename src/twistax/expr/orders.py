@@ -77,7 +77,7 @@ def _agree(known: _OrderPlace | None, place: _OrderPlace | None, where: str = ""
     """Raise OrderError if two places fix different orders."""
     if known and place and known.order != place.order:
         raise OrderError(
-            f"two orders of six-vectors meet{where}: {known.order!r} and {place.order!r}.\n"
+            f"two orders of six-vectors are combined{where}: {known.order!r} and {place.order!r}.\n"
             f"  at: {known}\n  and: {place}\n"
             "  fix: give both places the same order=, or put a tx.lie.Reorder between them"
         )

@@ -108,7 +108,9 @@ def missing(expr: Any, name: str, of_numpy: bool) -> AttributeError:
             text = repr(expr)
             x = text if len(text) <= 20 else "x"
             fix = spelled(name, x, rank) or _called(name, x)
-            return MissingAttribute(f"{text[:60]}.{name}: an expression is no array and has no {name!r}.\n  fix: {fix}")
+            return MissingAttribute(
+                f"{text[:60]}.{name}: an expression is not an array and has no {name!r}.\n  fix: {fix}"
+            )
     return AttributeError(f"{type(expr).__name__!r} object has no attribute {name!r}", name=name, obj=expr)
 
 

@@ -63,7 +63,7 @@ def known(a: Array) -> np.ndarray | None:
 
 
 def element(function: str, name: str, g: Array, drift: float = 0.1) -> Array:
-    """Check a rotation (3, 3) or a pose (4, 4), and return it; a traced matrix that is no element becomes NaN.
+    """Check a rotation (3, 3) or a pose (4, 4), and return it; a traced matrix that is not an element becomes NaN.
 
     The maps of a reflection or of zeros would give plausible numbers without meaning. Raises InputError.
     """

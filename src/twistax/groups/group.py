@@ -132,7 +132,7 @@ class Group(ABC):
         return self.left_jacobian_inv(-floats(xi)[0])
 
     def right_jacobian_inv_apply(self, eta: Input, omega: Input) -> Float[Array, "n"]:
-        """$J_r(eta)^-1 omega$; override it where that needs no matrix. Raises ShapeError."""
+        """$J_r(eta)^-1 omega$; override it if a formula without the matrix exists. Raises ShapeError."""
         n = (self.dimension,)
         eta, omega = of_shape(f"{self.name}.right_jacobian_inv_apply", {"eta": n, "omega": n}, eta, omega)
         return multiply(self.right_jacobian_inv(eta), omega)

@@ -183,7 +183,7 @@ class PiecewisePolynomial(ControlTable):
     """A control that is a polynomial in time between the times of a table: from ts[i] until ts[i + 1]
     $sum_k values[i, k] (t - ts[i])^k / k!$. The last polynomial continues without end.
 
-    So values[i] contains the value at ts[i] and the right-hand derivatives. There is no value before ts[0].
+    So values[i] has the value at ts[i] and the right-hand derivatives. There is no value before ts[0].
 
     Args:
         ts: (n,) times in s, increasing.
@@ -285,7 +285,7 @@ class OfTime:
             values = self.function(t, *self.inputs)
         except (jax.errors.ConcretizationTypeError, jax.errors.TracerArrayConversionError) as error:
             raise InputError(
-                f"the function u needs the number t, which is traced: {str(error).splitlines()[0]}\n"
+                f"the function u needs t as a number, but t is traced: {str(error).splitlines()[0]}\n"
                 "  fix: choose with jnp.where(t < ..., a, b), and call jax.numpy in place of NumPy and math"
             ) from None
         if not isinstance(values, Mapping):

@@ -43,7 +43,7 @@ def integrate(dynamics: Dynamics, x0: Mapping[str, Any], options: Options) -> So
     Derivatives of any order, forward and reverse, with respect to x0, u, params, t0, t1, save_at and the times of
     tables are those of the discrete steps. Their memory grows with the square root of the number of steps; with save_at
     or dense it grows with the maximal number of steps. With fixed steps a traced t0 or t1 needs `steps` in place of
-    `dt`. Where jumps of two tables coincide, only derivatives that move both jumps equally are right.
+    `dt`. If jumps of two tables coincide, derivatives are correct only for changes that move both jumps equally.
 
     Args:
         x0: the initial state, a dict by state name. Its precision is that of the whole integration.

@@ -186,7 +186,7 @@ class Method(ABC):
             ModelError: the method has no such form.
         """
         raise ModelError(
-            f"{self.name} gives no tangent of its step, which derivatives of steps need.\n"
+            f"{self.name} does not provide the tangent of its step, which derivatives of steps need.\n"
             "  fix: use tx.RKMK(tableau), or a chart tx.charts.Exponential(...)"
         )
 

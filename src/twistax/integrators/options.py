@@ -281,7 +281,7 @@ def _check_start(dynamics: Dynamics, inputs: Inputs, places: Sequence[str]) -> N
 
 
 def need_element(name: str, group: Group, value: Any, place: str = "x0") -> None:
-    """Raise InputError for a known start of a state that is no element of its group."""
+    """Raise InputError for a known start of a state that is not an element of its group."""
     if group.flat or is_traced(value):
         return
     defect = group.known_defect(np.asarray(value))
@@ -290,7 +290,8 @@ def need_element(name: str, group: Group, value: Any, place: str = "x0") -> None
         tolerance = max(tolerance, 1e3 * float(jnp.finfo(value.dtype).eps))
     if defect > tolerance:
         raise InputError(
-            f"{place}[{name!r}] is no element of {group.name}: off by {defect:.3g}, where {tolerance:.0e} is allowed"
+            f"{place}[{name!r}] is not an element of {group.name}: off by {defect:.3g}, "
+            f"where {tolerance:.0e} is allowed"
             + (
                 " (the rotation's R'R - I, and the last row of a pose).\n"
                 "  fix: build poses with tx.pose(...), or take the nearest element with "
@@ -327,7 +328,7 @@ def tolerances_of(dynamics: Dynamics, rtol: Any, atol: Any, dtype: Any) -> Toler
     by_state = atol if isinstance(atol, Mapping) else dict.fromkeys(names, atol)
     for name in by_state:
         if name not in names:
-            raise InputError(f"atol names {name!r}, which is no state; the states are: {listed(names, name)}")
+            raise InputError(f"atol names {name!r}, which is not a state; the states are: {listed(names, name)}")
     for name in names:
         if name not in by_state:
             raise InputError(f"atol has no entry for state {name!r}.\n  fix: atol={{..., {name!r}: 1e-9}}")

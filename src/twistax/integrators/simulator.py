@@ -176,7 +176,7 @@ class Simulator:
         same = type(value) is type(before) and value.values.shape == before.values.shape
         if not same or not np.array_equal(np.asarray(value.ts, before.ts.dtype), before.ts):
             raise InputError(
-                f"{place} expects what the simulator was built with, {type(before).__name__} of shape "
+                f"{place} expects a value like that of the simulator, {type(before).__name__} of shape "
                 f"{np.shape(getattr(before, 'values', before))} at the same times, got {short(value)}.\n"
                 "  fix: another tx.simulator for other times"
             )

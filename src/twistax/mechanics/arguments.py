@@ -73,8 +73,8 @@ def constant(owner: str, name: str, value: Expr) -> Expr:
     if leaves:
         raise ModelError(
             f"{owner} expects {name} not to change with the motion, got {short(value)}, which depends on "
-            f"{listed([leaf.name for leaf in leaves])}: how that moves would be left out.\n"
-            "  fix: a joint, such as joints.Prismatic, for what moves; a Parameter for what is chosen"
+            f"{listed([leaf.name for leaf in leaves])}: its motion would be ignored.\n"
+            "  fix: use a joint, such as joints.Prismatic, for a motion, or a Parameter for a choice"
         )
     return value
 

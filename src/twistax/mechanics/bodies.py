@@ -37,12 +37,11 @@ class SpatialInertia:
     checked to be physical; expressions of states are not checked. Points and thin rods, whose tensor
     is only semi-definite, are accepted: they can be merged with others. Only `acceleration` raises an error for them.
 
-    Where centre or inertia depend on time or on states, masses move within the body. Their momentum relative to the
-    body is included in all functions: $[f; I' w + c x f]$ with $f = m (2 w x c' + c'')$ is the additional wrench
-    compared with a rigid body, see `inner_motion`. Where the mass changes, mass leaves (or joins) the body with its
-    momentum. Then there are no such terms, and you apply the forces of the leaving mass: the thrust and
-    `flight.burning`. A mass that depends on time or on states changes, unless the rates of these states are known to be
-    zero.
+    If centre or inertia depend on time or on states, masses move within the body. Their momentum relative to the body
+    is included in all functions: $[f; I' w + c x f]$ with $f = m (2 w x c' + c'')$ is the additional wrench compared
+    with a rigid body, see `inner_motion`. Where the mass changes, mass leaves (or joins) the body with its momentum.
+    Then there are no such terms. Apply the forces of the leaving mass: the thrust and `flight.burning`. A mass that
+    depends on time or on states changes, unless the rates of these states are known to be zero.
 
     Args:
         mass: kg, ().
@@ -84,7 +83,7 @@ class SpatialInertia:
             raise ModelError(
                 f"SpatialInertia expects a mass that does not change where mass_leaves=False, got {self.mass!r}: mass "
                 "comes from somewhere and goes somewhere, with its momentum.\n"
-                "  fix: rates={...: 0.0} for each state in a mass that stays as it is"
+                "  fix: rates={...: 0.0} for each state in a constant mass"
             )
         has_moving_part = mass_leaves is not True and changing(self.center_of_mass, self.inertia)
         #: The parts whose centre or inertia changes, of merged bodies those of both.
@@ -102,7 +101,7 @@ class SpatialInertia:
         rates: Mapping[Any, ExprLike] | None = None,
         mass_leaves: bool | None = None,
     ) -> SpatialInertia:
-        """The body whose `inertia` (3, 3) is given about the frame's ORIGIN, in its axes: $I_c = I_o + m [c]x [c]x$.
+        """The body whose `inertia` (3, 3) is about the ORIGIN of the frame, in its axes: $I_c = I_o + m [c]x [c]x$.
 
         Args:
             mass, center_of_mass, rates, mass_leaves: as of the constructor.
@@ -170,7 +169,7 @@ class SpatialInertia:
 
     @property
     def known_matrix(self) -> np.ndarray | None:
-        """M (6, 6) as numbers; None where it depends on something."""
+        """M (6, 6) as numbers; None if it depends on a leaf."""
         (M,) = canonicalize_all([self.matrix])
         return np.asarray(M.value) if isinstance(M, Constant) else None
 
@@ -179,7 +178,7 @@ class SpatialInertia:
 
         It is M V plus the momentum of masses that move in the body.
 
-        Raises: ShapeError for an argument of another shape; ModelError for rates that are not known.
+        Raises: ShapeError for an argument of another shape; ModelError for unknown rates.
         """
         v, w = _velocities("momentum", V)
         p = self.mass * self._velocity_of_center(v, w)
@@ -193,7 +192,7 @@ class SpatialInertia:
         It excludes the kinetic energy of internal masses relative to their common centre, because their paths are
         unknown.
 
-        Raises: ShapeError; ModelError for rates that are not known.
+        Raises: ShapeError; ModelError for unknown rates.
         """
         v, w = _velocities("kinetic_energy", V)
         u = self._velocity_of_center(v, w)
@@ -250,7 +249,7 @@ class SpatialInertia:
         """The same body described in frame a, T = T_ab (4, 4), b the frame of this one: $M_a = Ad*_T M Ad_T^-1$.
 
         Frame a is fixed to the body, too: where T changes with the motion, the body's matrix is the instantaneous one,
-        and its accelerations and forces raise an error.
+        and functions for accelerations and forces raise an error.
 
         Raises:
             ShapeError: T is not of shape (4, 4).

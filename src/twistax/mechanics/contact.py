@@ -61,7 +61,7 @@ def given_forces(mechanism: KinematicTree, frames: Collection[str], friction: fl
         mechanism: a tree or a chain.
         frames: names of the frames; the contact points are their origins.
         friction: the friction coefficient mu, not negative.
-    Raises: ModelError: a frame that is not known; a friction that is no number, or negative.
+    Raises: ModelError: an unknown frame; a friction that is not a number, or negative.
     """
     checked("given_forces", mechanism)
     mu = float(number("given_forces: friction", friction, "a number not below zero", lambda m: m >= 0.0, ModelError))
@@ -95,7 +95,7 @@ class Ground:
     normal force is $n = stiffness s(d) g(1 + damping d')$, with g a smooth max(., 0). The friction is
     $-mu n v / sqrt(|v|^2 + slip^2)$, with v the tangential velocity. The equations are stiff: integrate them with
     `tx.ImplicitRKMK` and a Radau tableau. Over a height field h(x, y) the force is that of the plane through the ground
-    above or below the point: $d = (h - z) / sqrt(1 + |h'|^2)$, exact where the ground is even over the depth d.
+    above or below the point: $d = (h - z) / sqrt(1 + |h'|^2)$, exact where the ground is plane over the depth d.
 
     Attributes:
         stiffness: N/m, positive.
@@ -161,22 +161,23 @@ class Ground:
         deflection: float = 1e-3,
         damping: float = 20.0,
     ) -> Bristles:
-        """Friction with stiction at the origins of frames: a point under a force within the friction cone stays.
+        """Friction with stiction at the origins of frames: a point under a force within the friction cone remains at
+        rest.
 
-        A bristle z (2,), m, is the elastic deflection of a contact, and d the largest one:
-        $\\dot z = v - |v| z / d$, with the tangential velocity v. The friction is
-        $f_t = -\\mu n y / max(1, |y|)$ with $y = z / d + \\sigma \\dot z$ and the normal force n, which is the LuGre
-        model with its force projected onto the friction cone. |z| <= d holds for ever where it holds at first. Sliding
-        at constant velocity the force is $\\mu n$. At rest z stays, and nothing creeps, where `wrenches` creeps at a
-        speed of the size of `slip`. A force that oscillates within the cone moves a point slowly. In the air a bristle
-        follows the velocity without effect, for n is almost zero.
+        A bristle z (2,), m, is the elastic deflection of a contact, and d the largest one: $\\dot z = v - |v| z / d$,
+        with the tangential velocity v. The friction is $f_t = -\\mu n y / max(1, |y|)$ with $y = z / d + \\sigma \\dot
+        z$ and the normal force n, which is the LuGre model with its force projected onto the friction cone. If |z| <= d
+        holds initially, it holds at all times. Sliding at constant velocity the force is $\\mu n$. At rest z is
+        constant, and the point does not creep. With `wrenches` it creeps at a speed of the order of `slip`. A force
+        that oscillates within the cone moves a point slowly. Without contact the bristle still changes, without effect,
+        because n is almost zero.
 
         Args:
             mechanism: a tree or a chain.
             frames: names of the frames; the contact points are their origins.
             deflection: d, m, positive. Small motions have the stiffness mu n / d.
             damping: sigma, s/m, not negative. 2 / sqrt(mu g d) is the critical damping of a block under its weight.
-        Raises: ModelError: a frame that is not known, a ground without friction, or other numbers.
+        Raises: ModelError: an unknown frame, a ground without friction, or invalid numbers.
         Example:
             grip = Ground(friction=0.5).bristles(walker, ["foot"])
             standing = walker.system(controls=[], rates=grip.rates, wrenches=grip.wrenches)
@@ -222,7 +223,8 @@ class Ground:
             frames: names of the frames whose origins touch the ground; or a dict from names to what does, a
                 `tx.view.Sphere`, or a `Capsule`, which touches the ground with the balls at its ends.
                 A ball touches a height field along the normal at its centre: exact where the ground is even under it.
-        Raises: ModelError for a frame that is not known, or another shape; ShapeError for positions of another shape.
+        Raises: ModelError for an unknown frame, or a shape that is not supported; ShapeError for positions of another
+            shape.
         """
         wrenches: dict[str, Expr] = {}
         for name in [frames] if isinstance(frames, str) else frames:

@@ -23,9 +23,9 @@ _NOT_NEGATIVE = ("armature", "damping", "friction", "stiffness", "speed")
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class Drive:
-    """Motor, friction, spring and limits of a joint. All freedoms of the joint share the same values.
+    """Motor, friction, spring and limits of a joint. The same values apply to all degrees of freedom of the joint.
 
-    The generalised force on a freedom with position q, velocity v and control u is
+    The generalised force on a degree of freedom with position q, velocity v and control u is
 
         $gear u - damping v - friction tanh(v / speed) - stiffness (q - rest)$.
 
@@ -108,7 +108,7 @@ class Drive:
         return None if _is_zero(self.armature) else to_expr(self.armature)
 
     def passive(self, position: Expr | None, velocity: Expr) -> Expr | None:
-        """The force () of damping, friction and spring on one freedom; None without any."""
+        """The force () of damping, friction and spring on one degree of freedom; None without any."""
         terms: list[Expr] = []
         if not _is_zero(self.damping):
             terms.append(-(to_expr(self.damping) * velocity))
@@ -119,7 +119,7 @@ class Drive:
         return sum(terms[1:], terms[0]) if terms else None
 
     def stored(self, position: Expr) -> Expr:
-        """The energy $k (q - q_0)^2 / 2$ (), J, of the spring of one freedom."""
+        """The energy $k (q - q_0)^2 / 2$ (), J, of the spring of one degree of freedom."""
         return 0.5 * (to_expr(self.stiffness) * (position - self.rest) ** 2)
 
     @property

@@ -58,7 +58,7 @@ class MovingMass(NamedTuple):
             raise ModelError(
                 f"the centre of mass or the inertia of a body depends on the {kind} {name!r}, whose rate is not known: "
                 "masses that move in a body carry momentum.\n"
-                f"  fix: SpatialInertia(..., rates={{{name!r}: its rate}}), zero for what stays as it is, or "
+                f"  fix: SpatialInertia(..., rates={{{name!r}: its rate}}), zero for constant ones, or "
                 "mass_leaves=True where the change is that of mass that leaves the body"
             )
         rate = Rate(expr, self.rates)

@@ -39,7 +39,7 @@ class Joint(Subspaces, ABC):
     """A joint of k degrees of freedom between a parent and a child; its motion subspace H is constant in the child.
 
     To add a joint, subclass it: call `super().__init__` with H, and define `placement`. H may be an expression (6, 1);
-    then set `constraint_basis` yourself. Six-vectors are [v; w] and [f; tau].
+    then set `constraint_basis`. Six-vectors are [v; w] and [f; tau].
 
     Args:
         name: the prefix of the names of the states, `<name>_position` and `<name>_velocity`.
@@ -97,7 +97,7 @@ class Joint(Subspaces, ABC):
 
         On a group the position becomes its inverse.
 
-        Raises: ModelError where no joint of this kind has that pose.
+        Raises: ModelError if no joint of this kind has that pose.
         """
         raise ModelError(f"{self!r} cannot be reversed: {type(self).__name__} has no method `reversed`")
 

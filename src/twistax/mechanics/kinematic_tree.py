@@ -80,8 +80,8 @@ class KinematicTree:
         for i in reversed(range(len(self.segments))):
             if not heavy[i] and self.segments[i].link.joint.dofs:
                 raise ModelError(
-                    f"{owner}: joint {self.segments[i].link.joint.name!r} moves no mass, so its acceleration is not "
-                    "determined.\n  fix: give a body to its link or to one beyond it, or the joint an armature"
+                    f"{owner}: joint {self.segments[i].link.joint.name!r} carries no mass, so its acceleration is not "
+                    "determined.\n  fix: give its link or a later one a body, or give the joint an armature"
                 )
             if self.segments[i].before >= 0:
                 heavy[self.segments[i].before] |= heavy[i]
@@ -145,7 +145,7 @@ class KinematicTree:
         return known_as(State("qd", (self.dofs,), min=low, max=high), unit=None if unit is None else unit / SECOND)
 
     def motors(self, joints: Collection[str]) -> Control:
-        """The forces "tau" of the motors of some joints as a Control, with their limits, in the order of the joints."""
+        """The motor forces "tau" of some joints as a Control with limits, in the order of the joints."""
         at = self.freedoms(joints)
         low, high = self._bounds(lambda drive: drive.efforts, by_freedom=True)
         unit = self._unit()
@@ -197,12 +197,14 @@ class KinematicTree:
         )
 
     def coordinates(self, owner: str, name: str, value: ExprLike | None) -> Expr:
-        """The argument `name` of `owner`, one entry for each freedom (n,); qd itself for None. Raises ShapeError."""
+        """The argument `name` of `owner`, with one entry for each degree of freedom (n,); the state qd for None. Raises
+        ShapeError.
+        """
         hint = "one entry for each freedom; of a chain one entry for each link, from base to tip"
         return self.qd if value is None else finite(owner, name, of_shape(owner, name, value, (self.dofs,), hint))
 
     def positions(self, owner: str, q: Positions | None) -> list[Expr]:
-        """The position of the joint of every segment.
+        """The joint position of every segment.
 
         Raises:
             ShapeError: a vector of another length, an element of another shape.
@@ -257,7 +259,7 @@ class KinematicTree:
         raise ModelError(f"there is no frame {short(name)}; known are {listed(self.frames, name)}")
 
     def link(self, name: str) -> Link:
-        """A link as it stands in the tree, by its name or that of its joint. Raises ModelError."""
+        """A link of the tree, by its name or that of its joint. Raises ModelError."""
         for of in (lambda link: link.name, lambda link: link.joint.name):
             for link in self.links:
                 if of(link) == name:

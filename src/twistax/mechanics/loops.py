@@ -36,11 +36,11 @@ __getattr__ = earlier_classes(__name__)
 class Metric:
     """The norm in which closure rows and constraint wrenches are compared, to find redundant closures.
 
-    A length l combines units: a rotation counts as l times its angle, a translation as its distance, and a moment
-    tau as a force tau / l. A closure row is independent if its distance from the span of the others exceeds `tolerance`
-    times the longest row; the longest row counts as at least one, which is the row of a joint that moves alone.
-    Redundant rows do not change the motion. Constraint wrenches are the smallest that give the motion: the least sum of
-    $|f|^2 + |tau / l|^2$ over all closures. The norm does not depend on masses, so links may be arbitrarily light.
+    A length l combines units: a rotation counts as l times its angle, a translation as its distance, and a moment tau
+    as a force tau / l. A closure row is independent if its distance from the span of the others exceeds `tolerance`
+    times the length of the longest row, which is taken as at least 1. Redundant rows do not change the motion.
+    Constraint wrenches are the minimum-norm solution: the smallest sum of $|f|^2 + |tau / l|^2$ over all closures.
+    The norm does not depend on masses, so the mass of links may be arbitrarily small.
 
     Attributes:
         length: l (), m; None for the mean distance between successive joints (for joints on the base, from the first of
@@ -66,7 +66,7 @@ class Loop(ABC):
         name: of the closure, unique within the mechanism.
         frame, other: names of the two frames: of a link, a joint, or the base. Add frames by links on `Fixed` joints.
         wrenches: W (6, m), a basis of the constraint wrenches, in the axes of `other`.
-    Raises: ModelError for no name, or one frame twice.
+    Raises: ModelError for a missing name, or a frame that is named twice.
     """
 
     def __init__(self, name: str, frame: str, other: str, wrenches: np.ndarray) -> None:
@@ -156,7 +156,7 @@ def check_loops(loops: Iterable[Any], metric: Any, segment: Callable[[str], int]
         if not isinstance(loop, Loop):
             raise ModelError(f"Mechanism expects loops, such as loops.PointLoop, got {short(loop)}")
         if segment(loop.frame) == segment(loop.other):
-            raise ModelError(f"{loop!r} joins two frames of one body, which do not move against each other")
+            raise ModelError(f"{loop!r} connects two frames of one body, which cannot move relative to each other")
     names = [loop.name for loop in loops]
     if len(set(names)) < len(names):
         raise ModelError(f"two loops have one name, got {listed(names)}")

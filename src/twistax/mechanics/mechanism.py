@@ -106,10 +106,10 @@ class Mechanism(KinematicTree):
         return Mechanism(**{"links": joints.values(), **self.arguments, **changes})
 
     def lock(self, positions: Mapping[str, ExprLike]) -> Mechanism:
-        """A copy in which joints are fixed at positions, and with them the joints that follow them.
+        """A copy in which joints, and the joints that mimic them, are fixed at positions.
 
-        Each becomes a `Fixed` joint of the same name, and what it carries is merged with what it sits on. Its frame
-        stays; its motor, friction, spring and rotor do not act any more.
+        Each becomes a `Fixed` joint of the same name, and the bodies on both sides are merged. Its frame is kept; its
+        motor, friction, spring and rotor are removed.
 
         Args:
             positions: by joint: a number in rad or m, (k,) for several coordinates, a rotation (3, 3) or a pose (4, 4)
@@ -125,10 +125,10 @@ class Mechanism(KinematicTree):
         return self.replace(**edits.locked(self, positions))
 
     def attach(self, other: Mechanism, frame: str | None = None, pose: ExprLike | None = None) -> Mechanism:
-        """A copy that carries another mechanism: its base sits at a pose in a frame of this one.
+        """A copy with another mechanism attached: the base of the other one is at a pose in a frame of this one.
 
-        The base of the other becomes a link of its name. Closures, motors, followers and shapes of both stay, gravity
-        is that of this mechanism. On the base, it makes one mechanism of two robots.
+        The base of the other becomes a link of its name. Loop constraints, motors, mimic joints and shapes of both are
+        kept. Gravity is that of this mechanism. If the frame is the base, two robots become one mechanism.
 
         Args:
             other: the mechanism that is attached, such as a gripper.
@@ -146,21 +146,22 @@ class Mechanism(KinematicTree):
         return self.replace(**edits.attached(self, other, frame, pose))
 
     def without(self, *names: str) -> Mechanism:
-        """A copy without some links and all that they carry. Closures within the removed part go with it.
+        """A copy without some links and their subtrees. Loop constraints within the removed part are removed as well.
 
         Args:
             names: of links, or of the joints that carry them.
-        Raises: ModelError for a link that is not known, a joint that follows a removed one, a closure between a removed
+        Raises: ModelError for an unknown link, a joint that mimics a removed one, a loop constraint between a removed
             link and one that stays, and where no link is left.
         """
         return self.replace(**edits.without(self, names))
 
     def renamed(self, prefix: str) -> Mechanism:
-        """A copy in which the names of base, links, joints and closures begin with a prefix. Parameters keep theirs.
+        """A copy in which the names of base, links, joints and loop constraints begin with a prefix. Parameters keep
+        theirs.
 
-        The positions and velocities of the system are then named by the new joints.
+        The states of its system have the names of the new joints.
 
-        Raises: ModelError for a prefix that is no text.
+        Raises: ModelError for a prefix that is not a string.
         """
         return self.replace(**edits.renamed(self, prefix))
 
@@ -169,24 +170,24 @@ class Mechanism(KinematicTree):
 
         Args:
             bodies: by link, in the frame of the link; None for a link without mass.
-        Raises: ModelError for a link that is not known, or something that is no `SpatialInertia`.
+        Raises: ModelError for an unknown link, or a value that is not a `SpatialInertia`.
         """
         return self.replace(**edits.with_inertia(self, bodies))
 
     def rerooted(self, frame: str) -> Mechanism:
-        """The same links and joints, hung up by another link: the joints between it and the old root turn round.
+        """The same mechanism with another link as root: the joints between the new and the old root are reversed.
 
-        - If the old root is on a `Free` joint, that joint carries the new root instead: the same motions with other
-          coordinates. So it is for the only link on the base, if it is on a `Fixed` joint.
+        - If the old root is on a `Free` joint, that joint carries the new root: the motions are the same, with other
+          coordinates. The same holds for the only link on the base, if it is on a `Fixed` joint.
         - Else the base is the old root. It becomes a link without mass, and the new root is fixed to a new base,
           "world". Gravity keeps its numbers, which are then in the axes of the new root.
 
-        Turned joints keep names, positions, limits and drives; an element of a group becomes its inverse. All frames
-        stay. A turned joint whose mount is no identity has a frame "<link> at <joint>" of its own.
+        Reversed joints keep names, positions, limits and drives; a position on a group becomes its inverse. All frames
+        stay. A reversed joint whose mount is not the identity has a frame "<link> at <joint>".
 
         Args:
             frame: of the new root: a link, or the joint that carries it.
-        Raises: ModelError for a frame that is not known; a `Planar` joint, or one of another class, that would turn
+        Raises: ModelError for an unknown frame; a `Planar` joint, or one of another class, that would be reversed
             round; a ball or free joint whose drive holds in axes of its child.
         """
         return self.replace(**rerooted(self, frame))
@@ -194,14 +195,14 @@ class Mechanism(KinematicTree):
     def to_urdf(self, name: str = "robot", *, leave_out: Collection[str] = ()) -> str:
         """The mechanism as the text of a URDF file. `load` reads the same mechanism back.
 
-        Numbers are written to the last bit, those of Parameters with their default values. What URDF has no words for
-        is an error: closures, springs, armatures, gears, gravity other than (0, 0, -9.81), motors that joints lack,
-        meshes without a file, and joints that are `Helical` or `Cylindrical`.
+        Numbers are written to the last bit, those of Parameters with their default values. Features that URDF cannot
+        express raise an error: loop constraints, springs, armatures, gears, gravity other than (0, 0, -9.81), joints
+        without a motor, meshes without a file, and joints that are `Helical` or `Cylindrical`.
 
         Args:
             name: of the robot.
             leave_out: kinds that the file does without, such as ["armature", "gravity"]; the error names them.
-        Raises: ModelError for what cannot be written, with the joints or links it is at; numbers that are not known.
+        Raises: ModelError for a feature that cannot be written, with the joints or links; unknown numbers.
 
         Example:
             `pathlib.Path("arm.urdf").write_text(arm.to_urdf("arm"))`
@@ -213,9 +214,10 @@ class Mechanism(KinematicTree):
     def to_mjcf(self, name: str = "robot", *, leave_out: Collection[str] = ()) -> str:
         """The mechanism as the text of an MJCF file, for MuJoCo. `load` reads the same mechanism back.
 
-        As `to_urdf`, but for what MJCF has: springs, armatures, gears, gravity, motors of some joints, and closures of
-        points and poses. It has no speed limits, no `AxisLoop`, no `Planar`, `Helical` or `Cylindrical` joints, no
-        bodies without mass, and no names of `Fixed` joints. The base is the world, with a site of the base's name.
+        As `to_urdf`, with the additional features of MJCF: springs, armatures, gears, gravity, motors of some joints,
+        and loop constraints of points and poses. It has no speed limits, no `AxisLoop`, no `Planar`, `Helical` or
+        `Cylindrical` joints, no bodies without mass, and no names of `Fixed` joints. The base is the world, with a site
+        of the base's name.
         Shapes do not touch.
 
         Args:
@@ -238,7 +240,7 @@ class Mechanism(KinematicTree):
     def energy(self, q: Positions | None = None, qd: ExprLike | None = None) -> Expr:
         """$T + U$ (), J: the sum of `energies`.
 
-        It changes only by motors, friction, external forces and masses that move in bodies.
+        Only motors, friction, external forces and masses that move in bodies change it.
 
         Raises: as `energies`.
         """
@@ -301,12 +303,13 @@ class Mechanism(KinematicTree):
     ) -> System:
         """The mechanism as a `tx.System` with accelerations for controls, for optimal control by inverse dynamics.
 
-        The states are `q` and `qd`, the Control "qdd" (n,) is the rate of qd. What motors have to do follows by RNEA,
+        The states are `q` and `qd`, the Control "qdd" (n,) is the rate of qd. The motor forces follow by RNEA,
 
             $gear tau = M(q) qdd + h(q, qd) - forces$ of springs, damping, friction, wrenches,
 
-        and is the output "tau". Its limits are constraints, and freedoms without a motor, such as the six of a floating
-        base, are equalities. Rates are linear, and an evaluation is cheaper than one of forward dynamics.
+        and is the output "tau". Its limits are constraints. Degrees of freedom without a motor, such as the six of a
+        floating base, are equality constraints. Rates are linear, and an evaluation is cheaper than one of forward
+        dynamics.
 
         Args:
             controls: the joints that motors drive; `driven` by default.

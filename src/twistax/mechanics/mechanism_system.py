@@ -126,7 +126,7 @@ def inverse_system_of(
         raise ModelError("inverse_system expects a mechanism with a joint that moves, got none")
     if mechanism.loops:
         raise ModelError(
-            "inverse_system expects a tree, got a mechanism with loops, whose wrenches nothing fixes.\n"
+            "inverse_system expects a tree, got a mechanism with loops, whose wrenches are not determined.\n"
             "  fix: take system(), or cut the loops and give their forces as controls by wrenches="
         )
     qdd = Control("qdd", (mechanism.dofs,))

@@ -360,7 +360,7 @@ def as_arrays(closed: ClosedJaxpr) -> Callable[..., list[jax.Array]]:
             raise TooLarge(
                 f"the function is a chain of more than {_LONGEST_CHAIN:,} array operations that wait for each other: "
                 "XLA ends the process on such functions.\n"
-                "  fix: write what repeats as a node of your own whose evaluate is a jax.lax.scan"
+                "  fix: write the repeated part as a node whose evaluate uses jax.lax.scan"
             )
     run = jaxpr_as_fun(closed)
 

@@ -147,13 +147,13 @@ def fast(
     """A JAX function of pytrees of small arrays, compiled as scalars: `jax.jit` for small dense mathematics on the CPU.
 
     XLA runs a function as a chain of operations on arrays, some 50 ns each, far more than the arithmetic of a 3x3
-    matrix takes. Here the function becomes one program of scalars without structural zeros and ones, and where
-    llvmlite is installed (`pip install "twistax[native]"`) a kernel for this processor, or for CUDA devices.
-    `lax.scan`, `fori_loop` and `while_loop` with a body of scalars become one kernel each, with all of their
-    iterations. Batches of `jax.vmap`, around the function or inside of it, and of `lax.map` run side by side in the
-    processor's vectors, or in the threads of a CUDA device.
-    What has no such form (libraries, large arrays, effects, random keys) runs as JAX has it, and so does everything on
-    other devices. `fast(f).explain(*arguments)` reports how each part runs. It warns once if nothing is gained.
+    matrix takes. Here the function becomes one program of scalars without structural zeros and ones, and where llvmlite
+    is installed (`pip install "twistax[native]"`) a kernel for this processor, or for CUDA devices. `lax.scan`,
+    `fori_loop` and `while_loop` with a body of scalars become one kernel each, with all of their iterations. Batches of
+    `jax.vmap`, around the function or inside of it, and of `lax.map` run side by side in the processor's vectors, or in
+    the threads of a CUDA device. JAX executes functions without such a form (libraries, large arrays, effects, random
+    keys), and everything on other devices. `fast(f).explain(*arguments)` reports how each part runs. It warns once if
+    there is no speed-up.
 
     Results have the units of the function. They equal those of the function up to round-off, except that 0 x, 0 / x and
     x - x are zero also where x is infinite or NaN, unless the backend is `tx.Native(tx.XLA(checked=True))`.

@@ -38,14 +38,14 @@ class Composable:
         """
         if name not in self.outputs:
             raise ModelError(
-                f"output names {name!r}, which is no output; the system has: {listed(self.outputs, str(name))}"
+                f"output names {name!r}, which is not an output; the system has: {listed(self.outputs, str(name))}"
             )
         return self.outputs[name]
 
     def renamed(self, prefix: str, *, keep: Collection[str] = ()) -> Any:
         """The same system with other names: of states, controls, parameters, outputs and constraints.
 
-        The renamed leaves are new leaves: `left = leg.renamed("left_")` and `right = leg.renamed("right_")` are two
+        The renamed leaves are new objects: `left = leg.renamed("left_")` and `right = leg.renamed("right_")` are two
             legs,
         which `tx.join` combines.
 

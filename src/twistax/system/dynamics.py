@@ -71,11 +71,13 @@ class Dynamics:
         return self.functions.call("rates", t, x, u, params)
 
     def outputs(self, t: Any, x: Values, u: Values | None = None, params: Values | None = None) -> Arrays:
-        """The outputs by name. Raises as a call of the dynamics does."""
+        """The outputs by name. Raises the same errors as a call of the dynamics."""
         return self.functions.call("outputs", t, x, u, params)
 
     def constraints(self, t: Any, x: Values, u: Values | None = None, params: Values | None = None) -> Arrays:
-        """`{"inequality": (n,) <= 0, "equality": (m,) = 0}` in the order of declaration. Raises as a call does."""
+        """`{"inequality": (n,) <= 0, "equality": (m,) = 0}` in the order of declaration. Raises the same errors as a
+        call.
+        """
         return self.functions.call("constraints", t, x, u, params)
 
     def jacobian(
@@ -120,7 +122,7 @@ class Dynamics:
 
             $H_jk = (E_j E_k + E_k E_j) / 2 = E_k E_j - [E_k, E_j] / 2$,
 
-        which is symmetric: only one of both entries is computed, and no structural zeros. Other
+        which is symmetric: one triangle is computed, without structural zeros. Other
         values of the weights do not recompile. Traceable, batched by vmap and differentiable. JAX differentiates
         functions without a scalar form. Units are those of w . f over those of both tangents.
 
@@ -355,9 +357,8 @@ def load(path: str | Path, *, backend: Backend | Literal["auto"] | None = None) 
     """A compiled system from a file that `Dynamics.save` wrote.
 
     Its expressions have the same keys as before, and its functions give the same numbers on the same machine, to the
-    last bit. Nothing in a file is executed. Nodes, groups and backends of your own are found by the names of their
-    module and
-    class: import their modules first.
+    last bit. Nothing in a file is executed. Custom nodes, groups and backends are found by the names of their module
+    and class: import their modules first.
 
     Args:
         backend: another backend than that of the file.

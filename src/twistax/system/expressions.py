@@ -20,7 +20,7 @@ def chosen_outputs(outputs: Mapping[str, Expr], names: Iterable[str] | None) -> 
     names = [names] if isinstance(names, str) or not isinstance(names, Iterable) else list(names)
     for name in names:
         if name not in outputs:
-            raise ModelError(f"outputs names {name!r}, which is no output; the system has: {listed(outputs, name)}")
+            raise ModelError(f"outputs names {name!r}, which is not an output; the system has: {listed(outputs, name)}")
     return {name: outputs[name] for name in names}
 
 
@@ -30,12 +30,12 @@ def constants_of(parameters: tuple[Parameter, ...], bake: Mapping[str, Any]) -> 
     constants: dict[str, Constant] = {}
     for name, value in bake.items():
         if name not in known:
-            raise ModelError(f"bake names {name!r}, which is no parameter; the system has: {listed(known, name)}")
+            raise ModelError(f"bake names {name!r}, which is not a parameter; the system has: {listed(known, name)}")
         if value is None:
-            raise ModelError(f"bake[{name!r}] is None; give the value to fold in, of shape {known[name].shape}")
+            raise ModelError(f"bake[{name!r}] is None; give a value of shape {known[name].shape}")
         if is_traced(value):
             raise ModelError(
-                f"bake[{name!r}] is traced (inside jit, grad or vmap), so its number is not known.\n"
+                f"bake[{name!r}] is traced (inside jit, grad or vmap), so its value is not known.\n"
                 f"  fix: do not bake it, and pass params={{{name!r}: ...}}"
             )
         constants[known[name].key()] = Constant(known[name].replace(value=value).value)

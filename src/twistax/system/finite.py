@@ -17,7 +17,7 @@ def need_finite(place: str, root: Expr) -> None:
     if (not_finite := _not_finite(root)) is not None:
         raise ModelError(
             f"{place} is never finite: it expects finite numbers, got {not_finite!r}.\n"
-            f"  at: {find_path(root, not_finite)}\n  fix: what is not known yet is a tx.Parameter"
+            f"  at: {find_path(root, not_finite)}\n  fix: use a tx.Parameter for an unknown value"
         )
 
 

@@ -108,7 +108,7 @@ def _weighted(functions: Functions, names: Iterable[str]) -> tuple[_Weighted, ..
                 "  fix: rename the output or the constraint"
             )
         if same[0].exprs and same[0].exprs[0].boolean:
-            raise InputError(f"weights[{name!r}]: the output is true or false, not a number")
+            raise InputError(f"weights[{name!r}]: the output is a condition, not a number")
         chosen.append(same[0])
     return tuple(sorted(chosen, key=known.index))
 

@@ -103,7 +103,7 @@ def need_representable(place: str, array: jax.Array | np.ndarray, dtype: Any) ->
         overflows = np.isinf(known.astype(dtype)) & np.isfinite(known)
     if overflows.any():
         raise InputError(
-            f"{place} has {np.abs(known[overflows]).max():.3g}, which {np.dtype(dtype).name} cannot hold.\n"
+            f"{place} has {np.abs(known[overflows]).max():.3g}, which does not fit in {np.dtype(dtype).name}.\n"
             '  fix: other units, or double precision: jax.config.update("jax_enable_x64", True) and float64 arrays'
         )
 

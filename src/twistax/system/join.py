@@ -115,7 +115,7 @@ def _checked_links(connect: Mapping[Any, Any] | None, leaves: Mapping[str, Leaf]
         if leaf is None or (isinstance(key, Leaf) and key.key() != leaf.key()):
             inputs = {n: e for n, e in leaves.items() if not isinstance(e, State)}
             raise ModelError(
-                f"join: connect names {name!r}, which is no control and no parameter of the systems: "
+                f"join: connect names {name!r}, which is neither a control nor a parameter of the systems: "
                 f"{listed(inputs, str(name))}"
             )
         if isinstance(leaf, State):

@@ -67,7 +67,7 @@ class System(Composable):
         rates, outputs, constraints, corrections: mappings from name to expression.
         soft: mapping from the names of soft constraints to their `Soft`.
         slopes, labels: mappings from the name of a leaf to pairs as above.
-        group: the product group the state lives on.
+        group: the product group the state is on.
 
     Raises:
         ModelError: a missing, unknown, duplicate or undeclared name; leaves of one name that differ; no expression.
@@ -281,7 +281,7 @@ def _check_rate(what: str, argument: str, state: State, rate: Expr) -> None:
     wanted = state.group.tangent_shape
     if rate.boolean:
         raise ModelError(
-            f"the {what} of {state.name!r} is true or false, not a number.\n"
+            f"the {what} of {state.name!r} is a condition, not a number.\n"
             f"  at: {argument}[{state.name!r}] = {rate!r}\n  fix: choose between numbers with tx.Where"
         )
     if rate.shape != wanted:

@@ -17,7 +17,8 @@ STEP = 1e-3
 
 
 class LawError(TwistaxError, AssertionError):
-    """A part violates a law. The message names the law, the values, what is expected and the fix.
+    """A group, joint, node, tableau or scene violates a law. The message names the law, the values, what is expected
+    and the fix.
 
     Attributes:
         law: the law in a few words.

@@ -67,13 +67,13 @@ class Shape:
         raise NotImplementedError
 
     def corners(self) -> Array:
-        """The corners (n, 3) at its place."""
+        """The corners (n, 3) at its pose."""
         return self.mesh()[0] @ self.at[:3, :3].T + self.at[:3, 3]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Box(Shape):
-    """A box about its place, with lengths (3,) along x, y and z, m."""
+    """A box centred at its pose, with lengths (3,) along x, y and z, m."""
 
     lengths: Any
     triple = ("lengths",)
@@ -86,7 +86,7 @@ class Box(Shape):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Ellipsoid(Shape):
-    """An ellipsoid about its place, with semi-axes `radii` (3,) along x, y and z, m."""
+    """An ellipsoid centred at its pose, with semi-axes `radii` (3,) along x, y and z, m."""
 
     radii: Any
     triple = ("radii",)
@@ -96,7 +96,7 @@ class Ellipsoid(Shape):
         """The solid, homogeneous ellipsoid of a mass, kg, and an inertia tensor (3, 3) about its centre, kg m2.
 
         Its principal moments are $I_1 = m (b^2 + c^2) / 5$ and so on, so that $a^2 = 5 (I_2 + I_3 - I_1) / (2 m)$. A
-        flat or thin body is drawn with at least a hundredth of its largest semi-axis. Raises InputError where all of it
+        flat or thin body is drawn with at least a hundredth of its largest semi-axis. Raises InputError if the tensor
         is zero.
 
         Args:
@@ -121,7 +121,7 @@ class Ellipsoid(Shape):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Sphere(Shape):
-    """A ball about its place, of a radius in m, a number."""
+    """A ball centred at its pose, with one number, its radius in m."""
 
     radius: float
     single = ("radius",)
@@ -132,7 +132,7 @@ class Sphere(Shape):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Cylinder(Shape):
-    """A cylinder about its place, along z, with two numbers, radius and length in m."""
+    """A cylinder centred at its pose, along z, with two numbers, radius and length in m."""
 
     radius: float
     length: float
@@ -145,7 +145,7 @@ class Cylinder(Shape):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Capsule(Shape):
-    """A cylinder about its place, along z, with half a ball on each end: two numbers, radius and length in m.
+    """A cylinder centred at its pose, along z, with half a ball on each end: two numbers, radius and length in m.
 
     The length is that of the cylinder, between the centres of the balls.
     """
@@ -162,7 +162,7 @@ class Capsule(Shape):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Cone(Shape):
-    """A cone, its tip at its place, opening along z: two numbers, height in m, `half_angle` from its axis in rad."""
+    """A cone with its tip at its pose, opening along z: two numbers, height in m, `half_angle` from its axis in rad."""
 
     height: float
     half_angle: float

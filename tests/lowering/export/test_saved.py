@@ -133,7 +133,7 @@ def test_damaged_files_are_refused(file: Path, tmp_path: Path) -> None:
             tx.load(file)
     with zipfile.ZipFile(file, "w") as archive:
         archive.writestr("system.json", b'{"format": 3, "twistax": "0"}')
-    with pytest.raises(tx.InputError, match="no saved system, or damaged"):
+    with pytest.raises(tx.InputError, match="not a saved system, or is damaged"):
         tx.load(file)
     with pytest.raises(tx.InputError, match="there is no file"):
         tx.load(tmp_path / "nowhere")
@@ -181,7 +181,7 @@ def test_a_changed_tree_is_refused(file: Path) -> None:
             node[0] = node[0].replace(":Sin", ":Cos")
 
     edited(file, swap)
-    with pytest.raises(tx.ModelError, match="read back as others"):
+    with pytest.raises(tx.ModelError, match="differ from the saved ones"):
         tx.load(file)
 
 
@@ -203,7 +203,7 @@ def test_a_changed_output_is_refused(tmp_path: Path) -> None:
         copy.write_bytes(path.read_bytes())
         edited(copy, swap)
         assert found == 2
-        with pytest.raises(tx.ModelError, match="read back as others"):
+        with pytest.raises(tx.ModelError, match="differ from the saved ones"):
             tx.load(copy)
 
 

@@ -21,7 +21,7 @@ from ..records import Records
 
 @dataclasses.dataclass(frozen=True)
 class Experiment:
-    """What was measured of a system in one go.
+    """The records of one experiment with a system.
 
     Attributes:
         records: by measurement (times (k,), values (k, *shape)), as of a filter's run; a row with a NaN is missing.
@@ -87,7 +87,7 @@ def experiments_of(data: Any) -> tuple[Experiment, ...]:
     """The experiments of data. Raises InputError."""
     experiments = (data,) if isinstance(data, Experiment) else tuple(data) if isinstance(data, Sequence) else ()
     if not experiments or not all(isinstance(one, Experiment) for one in experiments):
-        raise InputError(f"data expects an Experiment or a list of them, got {short(data)}")
+        raise InputError(f"data expects an Experiment or a list of Experiments, got {short(data)}")
     return experiments
 
 

@@ -38,20 +38,20 @@ _STATE_STEPS = 20
 class MaximumLikelihood:
     """The parameters of a system that make measurements most likely. `tx.fit` makes one and runs it.
 
-    Without `tx.Noise` in the rates, the motion follows from the parameters and the state at the start, and errors are
-    those of the measurements: the output error method,
+    Without `tx.Noise` in the rates, the parameters and the initial state determine the motion, and errors are those of
+    the measurements: the output error method,
 
         $min 1/2 sum_k (e_k^T R^-1 e_k + log det R), e_k = Log(h(x_k)^-1 z_k)$.
 
     With noise in the rates e and its covariance S are the innovations of `ErrorStateKalman`, the filter error method.
-    So densities and covariances may be free parameters too. Starts of experiments are unknown as well, each with a
-    covariance or none; with noise in the rates a start with a covariance is that of the filter.
+    So densities and covariances may be free parameters too. Initial states of experiments are also unknowns, with or
+    without a prior covariance; with noise in the rates the initial covariance is that of the filter.
 
-    The record of an experiment is cut into segments. First the start of each segment is fitted to its measurements,
-    with the parameters as they are. Then Gauss-Newton steps move parameters and starts at once and close the gaps
-    between segments: multiple shooting. So the states follow the data while the parameters are still wrong,
-    where a simulation from the start of the record would have left it. With noise in the rates the filter follows the
-    data, and there is one segment.
+    The record of an experiment is cut into segments. First the initial state of each segment is fitted to its
+    measurements, with constant parameters. Then Gauss-Newton steps change parameters and initial states together and
+    close the gaps between segments: multiple shooting. So the states follow the data while the parameters are still
+    wrong; a simulation from the start of the record would depart from it. With noise in the rates the filter follows
+    the data, and there is one segment.
 
     Args:
         dynamics: the compiled system; time is in s.
@@ -162,7 +162,7 @@ class MaximumLikelihood:
             if value is None and box.min is not None and box.max is not None:
                 value = 0.5 * (np.asarray(box.min) + np.asarray(box.max))
             if value is None:
-                raise InputError(f"fit expects a value to begin with for {box.name!r}.\n  fix: params={{...}}")
+                raise InputError(f"fit expects an initial value for {box.name!r}.\n  fix: params={{...}}")
             array = real_array(f"params[{box.name!r}]", value)
             if array.shape != leaf.shape:
                 raise ShapeError(f"params[{box.name!r}] expects shape {leaf.shape}, got {array.shape}")
@@ -173,7 +173,7 @@ class MaximumLikelihood:
         if not estimate.converged:
             raise EstimationError(
                 f"the fit is {estimate.result}.\n"
-                "  fix: other values to begin with, params=...; limits of free parameters; priors; more segments"
+                "  fix: other initial values, params=...; limits of free parameters; priors; more segments"
             )
         if names := estimate.names_on_bounds:
             warnings.warn(

@@ -23,7 +23,7 @@ _UNDETERMINED = 1e5
 
 
 class Combination(NamedTuple):
-    """A combination $c^T theta$ of parameters that the data determines, in the units of the parameters.
+    """A combination $c^T theta$ of parameters that the data determine, in the units of the parameters.
 
     Attributes:
         name: such as "length" or "mass + 0.5 load".
@@ -40,7 +40,7 @@ class Combination(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class ParameterEstimate:
-    """The most likely parameters, of deviations $(N^-1)_ii^(1/2)$ in their units.
+    """The maximum-likelihood parameters, with standard deviations $(N^-1)_ii^(1/2)$ in their units.
 
     A pytree: `jax.vmap` over data puts an axis in front of its arrays.
 
@@ -78,9 +78,10 @@ class ParameterEstimate:
 
     @property
     def result(self) -> str:
-        """ "successful", or what went wrong, measured on one simulation of each experiment with the estimate.
+        """ "successful", or the cause of the failure, determined from one simulation of each experiment with the
+        estimate.
 
-        An estimate is successful where the gain of another step is below 1e-6 and all parameters are determined.
+        A fit is successful if a further step gains less than 1e-6 and all parameters are determined.
         """
         gain = np.max(np.asarray(self.gain))
         if not np.isfinite(np.asarray(self.cost)).all() or not np.isfinite(gain):
@@ -109,7 +110,9 @@ class ParameterEstimate:
     def _eigenvalues(self, with_prior: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Of the scaled information those that count, the vectors, the scale, and which vectors count."""
         if self.cost.ndim:
-            raise InputError("this expects one estimate.\n  fix: jax.tree.map(lambda a: a[0], estimate)")
+            raise InputError(
+                "explain, deviations and covariance expect one estimate.\n  fix: jax.tree.map(lambda a: a[0], estimate)"
+            )
         N = np.asarray(self.information + self.prior_information if with_prior else self.information, float)
         size = np.sqrt(np.clip(np.diag(N), 0.0, None))
         scale = np.where(size > 0.0, 1.0 / np.where(size > 0.0, size, 1.0), 1.0)
@@ -118,16 +121,16 @@ class ParameterEstimate:
 
     @property
     def undetermined(self) -> tuple[str, ...]:
-        """The combinations, to first order about the estimate, that no measurement depends on; priors do not count.
+        """The combinations that no measurement depends on, to first order about the estimate and without priors.
 
-        They keep the values that they had at the start, or those of their priors.
+        They keep their initial values, or those of their priors.
         """
         _, vectors, scale, counts = self._eigenvalues(False)
         return tuple(named(row, self.names) for row in reduced((vectors[:, ~counts] * scale[:, None]).T))
 
     @property
     def combinations(self) -> tuple[Combination, ...]:
-        """The combinations that the data determines: the parameters themselves where it determines them all.
+        """The combinations that the data determine: the parameters, if all of them are determined.
 
         A combination $c^T theta$ has the variance $c^T N^+ c$, N the information of data and priors.
 
@@ -171,7 +174,7 @@ class ParameterEstimate:
         return self._pseudo_inverse()
 
     def deviations(self) -> dict[str, np.ndarray]:
-        """Standard deviations of the parameters by name; infinite for one in a combination that is not determined."""
+        """Standard deviations of the parameters by name; infinite for a parameter in an undetermined combination."""
         _, vectors, _, counts = self._eigenvalues(True)
         part = np.abs(vectors[:, ~counts]).max(axis=1, initial=0.0) > 1e-6
         root = np.where(part, np.inf, np.sqrt(np.diag(self._pseudo_inverse())))
@@ -179,7 +182,7 @@ class ParameterEstimate:
         return {name: a.reshape(shape) for (name, shape), a in zip(self.shapes, np.split(root, ends))}
 
     def explain(self) -> str:
-        """The result, the estimates with their deviations, and what the data does not determine, as text."""
+        """The result, the estimates with their deviations, and the undetermined combinations, as text."""
         unknowns = sum(self._eigenvalues(False)[3]) + sum(np.size(x) for x in self.x0.values())
         lines = [
             f"result: {self.result}",
@@ -193,6 +196,6 @@ class ParameterEstimate:
 
     @property
     def names_on_bounds(self) -> tuple[str, ...]:
-        """The entries that a bound holds against the data."""
+        """The entries that lie at a bound."""
         blocked: Any = np.asarray(self.on_bound).reshape(-1, len(self.names)).any(axis=0)
         return tuple(name for name, is_held in zip(self.names, blocked) if is_held)

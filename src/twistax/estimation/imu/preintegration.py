@@ -23,7 +23,7 @@ _STATE = {"rotation": (3, 3), "velocity": (3,), "position": (3,)}
 
 
 class InertialState(NamedTuple):
-    """Where a vehicle is and how it moves, in the world.
+    """Attitude, velocity and position of a vehicle in the world.
 
     Attributes:
         rotation: attitude, (3, 3).
@@ -80,7 +80,7 @@ class PreintegratedImu:
     def residual(
         self, start: InertialState, end: InertialState, gravity: Input, bias: Input | None = None
     ) -> jax.Array:
-        """What the states at both ends say of d beyond the readings, (9,), of covariance `covariance`.
+        """The residual (9,) between the states at both ends and the readings, with the covariance `covariance`.
 
         Raises: ShapeError.
 
@@ -103,8 +103,8 @@ class PreintegratedImu:
 class Preintegration:
     """Integration of gyroscope and accelerometer between two times, in the frame of the first.
 
-    The result depends on no state, so an optimiser that moves the states integrates nothing again; biases enter to
-    first order. Readings are held over each interval, and the motion is exact for readings that are held:
+    The result does not depend on states, so an optimiser that changes the states does not repeat the integration.
+    Biases are corrected to first order. Readings are constant over each interval, and the motion is exact for them:
 
         $R' = R Exp(w h), v' = v + R G_1(w h) a h, p' = p + v h + R G_2(w h) a h^2, G_m(x) = sum_n hat(x)^n / (n + m)!$,
 
@@ -132,7 +132,7 @@ class Preintegration:
             gyro: (k, 3) in rad/s; accelerometer: (k, 3) in m/s2, specific forces.
             h: s, how long each is held: a number or (k,).
             bias: (6,) of both, subtracted; zero if left out.
-        Raises: InputError, ShapeError for what does not fit.
+        Raises: InputError, ShapeError for invalid readings.
         """
         (rates,) = floats(gyro, names=["gyro"])
         if rates.ndim != 2 or rates.shape[1] != 3 or not len(rates):

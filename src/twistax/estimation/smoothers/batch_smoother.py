@@ -56,7 +56,7 @@ class BatchEstimate:
 
     @property
     def result(self) -> str:
-        """ "successful", or what went wrong."""
+        """ "successful", or the cause of the failure."""
         if not np.isfinite(np.asarray(self.cost)).all():
             return "not finite"
         if not np.asarray(self.converged).all():

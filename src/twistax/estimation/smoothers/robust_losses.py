@@ -33,7 +33,8 @@ def _check(loss: RobustLoss, width: float) -> None:
 
 @dataclasses.dataclass(frozen=True)
 class HuberLoss(RobustLoss):
-    """rho(s) = s to a residual of `width` standard deviations, beyond it linear, $2 w s^(1/2) - w^2$.
+    """rho(s) = s up to a residual of `width` standard deviations w, and $2 w s^(1/2) - w^2$ beyond, linear in the
+    residual.
 
     Attributes:
         width: w, dimensionless.
@@ -59,7 +60,7 @@ class HuberLoss(RobustLoss):
 
 @dataclasses.dataclass(frozen=True)
 class CauchyLoss(RobustLoss):
-    """$rho(s) = w^2 log(1 + s / w^2)$: outliers far away hardly count.
+    """$rho(s) = w^2 log(1 + s / w^2)$: large outliers have almost no weight.
 
     Attributes:
         width: w, dimensionless.

@@ -37,10 +37,10 @@ class RauchTungStriebel:
         $C = P Phi^T M^-1, e = Log(y^-1 s), d = C e,$
         $x_s = x Exp(d), P_s = J_r(d) (P + C (J_r(e)^-1 N J_r(e)^-T - M) C^T) J_r(d)^T$.
 
-    The Jacobians move covariances to the tangent space at the estimate that they belong to; on $R^m$ they are
-    identities. Directions in which M is singular, such as a constant that is known, have no gain. Traceable.
+    The Jacobians transform covariances to the tangent space at the smoothed estimate; on $R^m$ they are identities.
+    Directions in which M is singular, such as a known constant, have no gain. Traceable.
 
-    Raises: nothing; numbers that are not finite stay so.
+    Raises: nothing; non-finite numbers are propagated.
 
     Source: Rauch, Tung, Striebel, Maximum likelihood estimates of linear dynamic systems, AIAA J. 3 (1965); on groups
     Bourmaud et al., Continuous-discrete extended Kalman filter on matrix Lie groups, JMIV 51 (2015).
@@ -67,14 +67,14 @@ class RauchTungStriebel:
 class FixedLagSmoother:
     """The mean of a state by the measurements until `lag` times later, $E[x_k | z_0, ..., z_(k + lag)]$.
 
-    A program that runs along can have it. It takes the steps of `RauchTungStriebel` from each time back over `lag`
+    An online estimator can compute it. It takes the steps of `RauchTungStriebel` from each time back over `lag`
     intervals. Traceable.
 
     Attributes:
         lag: how many later times of the run count, 1 or more; dimensionless.
     Raises: InputError for another lag.
 
-    Source: Anderson, Moore, Optimal Filtering (1979), sec. 7.3, of which this is the same numbers.
+    Source: Anderson, Moore, Optimal Filtering (1979), sec. 7.3, which gives the same numbers.
     """
 
     lag: int

@@ -126,7 +126,7 @@ class Call(Expr, init=False):
             raise ShapeError(
                 f"Function {self.name!r} expects a value of shape {self.result_shape}, got {got.shape} for operands of "
                 f"shapes {_listed(shapes)}",
-                hint="give the shape that the function has, or another function",
+                hint="pass the shape of the result, or another function",
             )
         return tuple(got.shape)
 
@@ -137,7 +137,7 @@ class Call(Expr, init=False):
             raise ModelError(
                 f"Function {self.name!r} needs concrete values of its arguments, which tracing by JAX does not have: "
                 f"{_first_line(error)}\n"
-                "  fix: write it in jax.numpy and jax.lax; what cannot be is called by jax.pure_callback, with "
+                "  fix: write it in jax.numpy and jax.lax, or call other code by jax.pure_callback, with "
                 "derivatives by jax.custom_jvp"
             ) from error
         except (TypeError, ValueError, IndexError) as error:
@@ -145,7 +145,7 @@ class Call(Expr, init=False):
             raise ShapeError(
                 f"Function {self.name!r} fails for operands of shapes {shapes}: {type(error).__name__}: "
                 f"{_first_line(error)}",
-                hint="look at the shapes that it takes, one array for each operand",
+                hint="check the shapes of its arguments, one array for each operand",
             ) from error
 
     def _applied(self, *values: Any) -> Any:

@@ -82,7 +82,7 @@ class ParameterTree:
             what = "is missing" if strange[0] in wanted else "is not one of them"
             raise ShapeError(
                 f"ParameterTree {self.name!r} expects a tree with its {len(wanted)} arrays: {strange[0]!r} {what}",
-                hint="give a tree of the same structure as the one it was made of",
+                hint="pass a tree of the same structure",
             )
         for path, parameter in wanted.items():
             if np.shape(arrays[path]) != parameter.shape:

@@ -15,19 +15,20 @@ _KNOWN, _CHECKED = FACTS
 
 
 def declare(value: Any, kind: Kind | None = None, unit: Any = None) -> Expr:
-    """The same expression, which says what it is: `tx.kinds.declare(R.T @ F, tx.FreeVector("body"), "N")`.
+    """The same expression with a declared kind and unit: `tx.kinds.declare(R.T @ F, tx.FreeVector("body"), "N")`.
 
-    A system that contains it is checked against that. It is the same to all else: its key, and so each program, does
-    not depend on it. What `canonicalize`, `replace` and the like make of it says nothing. States, controls and
-    parameters may say it themselves, by `kind=` and `unit=`.
+    A system that contains it is checked for this kind. Nothing else changes: the key of the expression, and so each
+    program, does not depend on the declaration. The results of `canonicalize` and `replace` have no declaration.
+    States, controls and parameters declare it by `kind=` and `unit=`.
 
     Args:
         value: an expression, or numbers.
         kind: what it is and in which frames, such as `tx.Point("world")`; see `tx.kinds`.
         unit: of all entries, such as "m/s"; of a six-vector that of its angular part.
-    Raises: ModelError for a kind of another shape, or no unit.
+    Raises: ModelError for a kind of another shape, or an unknown unit.
 
-    Units: those that are named. Example: `outputs={"tip": tx.kinds.declare(arm.pose("tip")[:3, 3], tx.Point("base"))}`.
+    Units: those that are declared. Example: `outputs={"tip": tx.kinds.declare(arm.pose("tip")[:3, 3],
+        tx.Point("base"))}`.
     """
     expr = to_expr(value)
     if kind is None and unit is None:

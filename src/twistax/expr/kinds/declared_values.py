@@ -31,7 +31,7 @@ def group_of(name: str, shape: Shape | int | None, group: Group | None, order: O
         return Euclidean(shape_of(name, () if shape is None else shape))
     if not isinstance(group, Group):
         made = f".\n  fix: give one of them: group={group.__name__}()" if isinstance(group, type) else ""
-        raise ModelError(f"State {name!r}: group must be tx.SO3, tx.SE3 or a group of your own, got {group!r}{made}")
+        raise ModelError(f"State {name!r}: group must be tx.SO3, tx.SE3 or another Group, got {group!r}{made}")
     try:
         hash(group)
     except TypeError:
@@ -42,7 +42,7 @@ def group_of(name: str, shape: Shape | int | None, group: Group | None, order: O
     if shape is not None and shape_of(name, shape) != group.shape:
         raise ShapeError(
             f"State {name!r} on {group.name} has shape {group.shape}, got {shape}",
-            hint="leave shape out: the group brings its own",
+            hint="leave shape out: the group determines it",
         )
     if order is None:
         return group
@@ -73,7 +73,7 @@ def chosen_values(name: str, group: Group, low: Any, high: Any, guess: Any, scal
         raise ModelError(f"{name!r} expects min below max, got min {low} and max {high}")
     for side, bound, never in (("min", low, np.inf), ("max", high, -np.inf)):
         if bound is not None and (bound == never).any():
-            raise ModelError(f"{name!r}: {side} expects numbers that a value can meet, got {bound}")
+            raise ModelError(f"{name!r}: {side} expects a limit that a value can satisfy, got {bound}")
     if guess is not None:
         guess = reals(f"{name!r}: guess", guess, ModelError).astype(np.float64)
         if not np.isfinite(guess).all():

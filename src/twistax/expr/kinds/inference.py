@@ -290,10 +290,10 @@ class Inference:
             return
         one, other = both
         if isinstance(one.fact, str) and isinstance(other.fact, str):
-            what = f"two frames meet: {one.fact!r} and {other.fact!r}"
+            what = f"two frames are combined: {one.fact!r} and {other.fact!r}"
             fix = remedy_of_frames(self.leaves, one.fact, other.fact, one.value, other.value)
         else:
-            what = "a twist meets a wrench or momentum, or is paired with another twist"
+            what = "a twist is combined with a wrench or momentum, or is paired with another twist"
             fix = remedy_of_spaces()
         texts = (f"{self.place(fact.at)}, {fact.clause(short(fact.value))}{fact.note}" for fact in both)
         at_one, at_other = texts

@@ -31,7 +31,7 @@ class Kind:
 
     Attributes:
         unit: what the kind says of units; None where it says nothing.
-    Raises: ModelError where a leaf has another shape, or a frame is no name. A frame that is not named is open.
+    Raises: ModelError if a leaf has another shape, or a frame is not a name. A frame without a name is open.
     """
 
     shapes: ClassVar[tuple[Shape, ...]] = ()
@@ -52,7 +52,7 @@ class Kind:
         raise NotImplementedError
 
     def bodies(self) -> Bodies:
-        """Which body moves against which, or is acted upon; None if not declared."""
+        """The body and the one that it moves relative to, or the body that a wrench acts on; None if not declared."""
         return None
 
     def check(self, name: str, shape: Shape) -> None:
@@ -84,7 +84,7 @@ class Twist(_OfSix):
     Attributes:
         frame: the frame of its coordinates.
         of, relative_to: which body moves, and against which one. Sums of twists and rates of poses are held to it.
-    Raises: ModelError where a leaf has another shape, or a frame is no name.
+    Raises: ModelError if a leaf has another shape, or a frame is not a name.
     Example: `tx.State("V", (6,), kind=tx.Twist("body", of="craft", relative_to="world"))`.
     """
 
@@ -105,7 +105,7 @@ class Wrench(_OfSix):
     Attributes:
         frame: the frame of its coordinates.
         on: the body on which it acts; wrenches on two bodies are not added.
-    Raises: ModelError where a leaf has another shape, or the frame is no name.
+    Raises: ModelError if a leaf has another shape, or the frame is not a name.
     Example: `tx.Control("F", (6,), kind=tx.Wrench("body"))`.
     """
 

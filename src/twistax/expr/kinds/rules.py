@@ -49,9 +49,9 @@ class Clash(Exception):
 
 @dataclasses.dataclass(frozen=True)
 class Rule:
-    """A rule without constraints: frames and units of operands and result stay undetermined, whatever their shapes.
+    """A rule without constraints: frames and units of operands and result are undetermined, for any shapes.
 
-    Subclass it for a node of your own, as a frozen dataclass.
+    Subclass it for a custom node, as a frozen dataclass.
 
     Raises: a system raises KindError where operands violate a rule; `unit` raises `Clash`, which becomes one.
     """
@@ -70,11 +70,11 @@ class Rule:
         return ()
 
     def spaces(self, node: Any) -> Iterable[tuple[Any, int, Space]]:
-        """The axes whose space the node determines."""
+        """The axes for which the node determines the space, of twists or of wrenches."""
         return ()
 
     def unframed(self, node: Any) -> Iterable[tuple[Any, Any]]:
-        """Pairs of a vector that can be in no frame, and what makes it so."""
+        """Pairs of a vector that cannot be in any frame, and the cause."""
         return ()
 
     def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
@@ -86,7 +86,7 @@ class Rule:
         return None
 
     def bodies(self, node: Any, known: Sequence[Bodies]) -> Bodies:
-        """Which body the result is of, from those of the operands. Raises BodyClash."""
+        """The body of the result, from those of the operands. Raises BodyClash."""
         return known[-1] if self.keeps_bodies else None
 
 
@@ -108,7 +108,7 @@ MAPPED = _Mapped()
 
 @dataclasses.dataclass(frozen=True)
 class FixedUnits(Rule):
-    """A function of fixed units, such as the pressure in Pa of an altitude in m; of operands of any shape.
+    """The rule of a function with fixed units, such as the pressure in Pa at an altitude in m; operands have any shape.
 
     Attributes:
         takes: the unit of each operand, None for any.

@@ -19,7 +19,7 @@ class Unit:
 
     Attributes:
         exponents: the powers, whole numbers or fractions.
-    Raises: ModelError by `Unit.of` for a text that is no unit.
+    Raises: ModelError by `Unit.of` for an unknown unit.
     Example: `tx.kinds.Unit.of("N m")`.
     """
 

@@ -39,7 +39,7 @@ NEARLY = 1e-4
 
 
 def check_element(owner: str, operand: str, element: Expr) -> None:
-    """Raise ModelError where a constant operand is neither a rotation nor a pose, or a state lives on another group."""
+    """Raise ModelError where a constant operand is neither a rotation nor a pose, or a state is on another group."""
     refuse_other_group(owner, operand, element)
     value = element.value if isinstance(element, Constant) else np.zeros(0)
     if value.shape in ELEMENTS and not element_defect(value) <= NEARLY:
@@ -54,7 +54,7 @@ def refuse_other_group(owner: str, operand: str, element: Expr) -> None:
     """Raise ModelError for a state on another group than SO(3) and SE(3), whatever its shape."""
     if isinstance(element, State) and not (element.group.flat or element.group.rigid):
         raise ModelError(
-            f"{owner} expects {operand} to be a rotation or a pose, state {element!r} lives on {element.group.name}.\n"
+            f"{owner} expects {operand} to be a rotation or a pose, state {element!r} is on {element.group.name}.\n"
             "  fix: write it with the entries of the state, or as a node of your own"
         )
 

@@ -120,8 +120,8 @@ class Mul(Chained, init=False):
     """Entrywise product a * b * ... with NumPy broadcasting.
 
     $x y^{-n}$ with a number n, and $x (1 / y)$, are computed as $x / y^n$: the derivative of $y^{-n}$ may underflow in
-    single precision where that of the product does not. That of $r^{-3}$ at 1.5e11 m is -6e-45, that of $GM r^{-3}$ of
-    the Sun -8e-25.
+    single precision where that of the product does not. At 1.5e11 m the derivative of $r^{-3}$ is -6e-45, and that of
+    $GM r^{-3}$ of the Sun is -8e-25.
 
     Attributes:
         factors: two or more expressions of broadcastable shapes.

@@ -301,7 +301,7 @@ class Index(Expr):
         except IndexError as error:
             raise ShapeError(
                 f"Index expects an index into shape {shape}, got [{index_text(self.index)}]",
-                hint="a scalar has no entries: use it as it is" if not shape else str(error),
+                hint="a scalar has no entries: use it without an index" if not shape else str(error),
             ) from None
         if 0 in result:
             raise ShapeError(

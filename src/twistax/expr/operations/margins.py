@@ -28,8 +28,9 @@ def margin(what: str, condition: Expr) -> Expr:
         joined = Max if isinstance(condition, All) else Min
         return joined(*entries) if len(entries) > 1 else entries[0]
     raise ModelError(
-        f"{what} expects a number that becomes zero, or comparisons by < and <=, got the condition {condition!r}.\n"
-        "  fix: give the number, e.g. a - b for a == b"
+        f"{what} expects an expression whose root is the event, or comparisons by < and <=, got the condition "
+        f"{condition!r}.\n"
+        "  fix: pass the expression, e.g. a - b for a == b"
     )
 
 

@@ -23,7 +23,7 @@ class Soft:
     it like a constraint: in the `constraints` of a `System`, and in `initial`, `final` and `at` of a problem.
 
     If `l1` is larger than the multiplier of the hard constraint, the optimum is unchanged (an exact penalty).
-    With `l2` alone there is always some violation, half the multiplier over `l2`.
+    With `l2` alone an active constraint is always violated, by half the multiplier over `l2`.
     Source: Nocedal and Wright, Numerical Optimization (2006), (17.22) and Theorem 17.3.
 
     Example: `tx.System(rates={p: v, v: u}, constraints={"speed": tx.Soft(v <= 0.8, l1=100.0)})`.
@@ -57,7 +57,7 @@ class Soft:
         return f"Soft({', '.join([repr(self.constraint), *weights])})"
 
     def price(self, size: Expr) -> Expr:
-        """The penalty of a violation of this size, of the shape of the constraint."""
+        """The penalty of a violation, entry by entry."""
         parts = [] if self.l1 is None else [self.l1 * size]
         parts += [] if self.l2 is None else [self.l2 * size * size]
         total = parts[0] if len(parts) == 1 else parts[0] + parts[1]

@@ -25,7 +25,9 @@ def svg(roots: Mapping[str, Node]) -> Picture:
     """The graphs from their roots down, each root with its name; see `Expr.svg` and `System.svg`."""
     nodes = postorder(*roots.values())
     if len(nodes) > _MOST:
-        raise ModelError(f"svg: {len(nodes):,} nodes are too many for a picture, {_MOST} are the most.\n  fix: tree()")
+        raise ModelError(
+            f"svg: {len(nodes):,} nodes are too many for a picture, {_MOST} is the largest number.\n  fix: tree()"
+        )
     depth = {id(root): 0 for root in roots.values()}
     for node in reversed(nodes):  # parents before children
         for child in node.children():

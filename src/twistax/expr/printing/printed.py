@@ -25,7 +25,7 @@ class Printed:
     precedence: ClassVar[int] = 100
 
     def details(self: Any) -> list[str]:
-        """The static fields as texts and trees show them: those that differ from their defaults."""
+        """The static fields that texts and trees show: those that differ from their defaults."""
         return [f"{f.name}={getattr(self, f.name)!r}" for f in self._fields if f.shown(getattr(self, f.name))]
 
     def to_text(self: Any, *operands: str) -> str:
@@ -60,7 +60,7 @@ class Printed:
         return render(self, "to_latex", r"\cdots")
 
     def tree(self: Any) -> str:
-        """The tree, a line a node, shared parts shown once."""
+        """The tree as text, one line for each node; shared subtrees are printed once."""
         return tree(self)
 
     def svg(self: Any) -> Picture:

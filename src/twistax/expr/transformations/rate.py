@@ -258,7 +258,7 @@ def _moving(expr: Expr, rates: Mapping[str, Expr]) -> Iterator[tuple[Leaf, Expr]
             kind = type(leaf).__name__.lower()
             raise ModelError(
                 f"Rate: the expression depends on the {kind} {leaf.name!r}, whose rate is not known.\n"
-                f"  fix: rates={{{leaf.name!r}: its rate}}; zero for what stays as it is"
+                f"  fix: rates={{{leaf.name!r}: its rate}}; zero for constant ones"
             )
         rate, wanted = to_numbers("Rate", rates[leaf.name]), _rate_shape(leaf)
         if rate.shape != wanted:

@@ -161,12 +161,12 @@ class Vmap(Expr):
         )
 
     def over(self, batches: Sequence[Expr], body: Expr) -> Vmap:
-        """The same map with other batches and another body, of the same placeholders."""
+        """The same map with other batches and another body with the same placeholders."""
         fields = {"batches": tuple(batches), "axis": self.axis, "body": body, "placeholders": self.placeholders}
         return Vmap.from_fields(fields | {"copies": self.copies})
 
     def of_copies(self) -> Vmap:
-        """The same, of elements that are systems."""
+        """The same for elements that are systems."""
         return Vmap.from_fields({field.name: getattr(self, field.name) for field in self._fields} | {"copies": True})
 
     def infer_shape(self, *shapes: Shape) -> Shape:

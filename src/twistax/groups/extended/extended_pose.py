@@ -38,7 +38,8 @@ from twistax.groups.special import SO3
 
 @dataclass(frozen=True)
 class ExtendedPose(Group):
-    """$SE_k(3)$: a rotation R and k vectors, in one group. Of two it is the group of attitude, velocity and position.
+    """$SE_k(3)$: a rotation R and k vectors, in one group. With two vectors it is the group of attitude, velocity and
+    position.
 
     An element is the matrix $[R, p_1, ..., p_k; 0, I]$ of shape (3 + k, 3 + k), with the matrix product; a tangent is
     $[w; v_1; ...; v_k]$, (3 + 3 k,), the rotation first. So the rate of a state $[R, v, p]$ with body angular velocity
@@ -46,7 +47,7 @@ class ExtendedPose(Group):
 
     Attributes:
         vectors: name and unit of each vector.
-    Raises: ModelError for what is no tuple of pairs of text, for none.
+    Raises: ModelError for vectors that are not a non-empty tuple of pairs of strings.
 
     Source: Barrau, Bonnabel, The invariant extended Kalman filter as a stable observer, IEEE TAC 62 (2017), appendix A.
 

@@ -217,8 +217,8 @@ class _Maps:
 class Chart(ABC):
     """The coordinates of a step around its start. Charts with equal fields are equal.
 
-    A new chart is a subclass that defines coordinates for rotations and poses. States without a group are added to, and
-    states of other groups use exponential coordinates.
+    A new chart is a subclass that defines coordinates for rotations and poses. Increments are added to states without a
+    group; states on other groups use exponential coordinates.
     """
 
     def coordinates(self, group: Group) -> Coordinates:
@@ -243,9 +243,9 @@ class Chart(ABC):
 class Ambient(Chart):
     """Quaternion and position as plain numbers, $q' = q (0, w) / 2$, $p' = R(q) v$; q is normalised once in each step.
 
-    The cheapest chart, and as accurate as the others for problems that are not stiff. Within a step
-    the quaternion leaves the unit sphere by the error of the stages. There is no limit on rotations within a step: a
-    step that is too long has the error of the tableau.
+    The cheapest chart, and as accurate as the others for problems that are not stiff. Within a step the quaternion
+    leaves the unit sphere by the error of the stages. There is no limit on rotations within a step: the error of a long
+    step is that of the tableau.
 
     Source: Hairer, Lubich, Wanner, Geometric Numerical Integration (2006), section IV.4 (projection methods).
     """
@@ -291,7 +291,7 @@ class Exponential(Chart):
 
 @dataclasses.dataclass(frozen=True)
 class SplitExponential(Exponential):
-    """Exponential coordinates of the rotation alone; positions are added to: $SO(3) x R^3$ in place of SE(3).
+    """Exponential coordinates of the rotation; increments are added to the position: $SO(3) x R^3$ in place of SE(3).
 
     Attributes and errors as for `Exponential`.
     """

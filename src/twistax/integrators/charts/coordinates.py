@@ -33,8 +33,8 @@ class Coordinates(ABC):
 
         the state at z is `move(y, z)`, and z' = `slope(z, move(y, z), omega)`,
 
-    so that any Runge-Kutta method can integrate z. All methods are pure and traceable. The methods that are not
-    abstract implement plain numbers, to which increments are added.
+    so that any Runge-Kutta method can integrate z. All methods are pure and traceable. The non-abstract methods
+    implement states without a group, to which increments are added.
     """
 
     @abstractmethod
@@ -79,8 +79,8 @@ class Coordinates(ABC):
     def deviation(self, e: Block, after: Block) -> Block:
         """The tangent, up to higher order, for a small difference e of coordinates near the end of a step.
 
-        Rotations in rad, positions in their unit; poses as [v; w] whatever their order. Only norms matter: the
-        axes may be those of the start.
+        Rotations in rad, positions in their unit; poses as [v; w] whatever their order. Only its norm is used, so the
+        axes may be those of the start of the step.
         """
         return e
 

@@ -72,8 +72,8 @@ class LieSolver(diffrax.AbstractWrappedSolver):
     wrapped solver integrates $eta' = J_r(eta)^-1 Omega$, so poses stay in their group to round-off, between steps and
     in dense output too. SaveAt, Event, progress meters and all adjoints but BacksolveAdjoint work.
 
-    Explicit solvers lend their tableau, and a step is compiled as one small function where that is known to work.
-    Implicit ones solve their equations in the coordinates. KenCarp and Sil3, which treat one part implicitly, take
+    The tableau of an explicit solver is used, and a step is compiled as one small function where this is supported.
+    Implicit solvers solve their equations in the coordinates. KenCarp and Sil3, which treat one part implicitly, take
     `diffrax.MultiTerm(lie_term(explicit), lie_term(implicit))`, two systems with the same states.
 
     Attributes:
@@ -291,7 +291,7 @@ class LieController(diffrax.AbstractAdaptiveStepSizeController):
     pid: diffrax.PIDController
 
     def wrap(self, direction: Any) -> LieController:
-        """The controller itself, because it does not depend on the direction of time."""
+        """The unchanged controller, because it does not depend on the direction of time."""
         return self
 
     def init(
@@ -363,7 +363,7 @@ def controller(
     """A step size controller for `LieSolver`: errors are at most atol + rtol x size, measured in the tangent space.
 
     Errors of rotations are in rad with size 1, those of positions relative to their distance from the origin, those of
-    other states entry by entry, as in `tx.integrate`. A plain diffrax.PIDController works too, and compares the
+    other states entry by entry, as in `tx.integrate`. A plain diffrax.PIDController also works, but compares the
     entries of the matrices.
 
     Args:

@@ -130,7 +130,7 @@ class Event:
     def _take_condition(self, condition: Expr) -> None:
         if self.direction is not None:
             raise ModelError(
-                f"Event: {condition!r} has a direction of its own, got direction={self.direction!r} too.\n"
+                f"Event: {condition!r} is a comparison, which has a direction, got direction={self.direction!r} too.\n"
                 "  fix: leave the direction out; ~(condition) is the event where it ceases to hold"
             )
         object.__setattr__(self, "condition", margin("Event", condition))
@@ -354,7 +354,7 @@ def _of_expression(dynamics: Dynamics, condition: Expr) -> tuple[_OfExpression, 
     known = {leaf.key() for leaf in (*dynamics.states, *dynamics.controls, *dynamics.parameters)}
     for leaf in leaves_of(condition):
         if isinstance(leaf, Leaf) and not isinstance(leaf, (Constant, Time)) and leaf.key() not in known:
-            baked = " (a baked parameter is no input any more)" if isinstance(leaf, Parameter) else ""
+            baked = " (a baked parameter is not an input)" if isinstance(leaf, Parameter) else ""
             raise ModelError(
                 f"the event {condition!r} reads {type(leaf).__name__} {leaf.name!r}, which the compiled system "
                 f"does not have{baked}"

@@ -44,20 +44,20 @@ def failure(stepper: Stepper, steps: Steps, outcome: LoopOutcome, x: dict[str, A
     elif result is Result.MAX_CROSSINGS:
         room = steps.events.room
         what = f"more than {room} crossings of events that do not end the integration, at t = {t:.6g} s"
-        cause = "conditions that cross zero often, or chatter about it"
+        cause = "conditions that cross zero often, or chatter around it"
         fix = f"tx.integrate(..., max_crossings=...), which is {room}"
     else:
         errors = on_host(_errors, stepper, steps, outcome.t, outcome.h, x) or {}
         state = max(errors, key=lambda name: float(errors[name]), default=None)
         blame = f" at t = {t:.6g} s" + (f"; state {state!r} has the largest error" if state else "")
         if result is Result.MAX_STEPS:
-            what = f"{int(outcome.tried)} steps ran out{blame}"
-            cause = f"steps are {h:.3g} s there: tolerances this tight, rates this fast, or a stiff system"
-            fix = "try looser tolerances, or more steps: control=tx.StepControl(max_steps=...)"
+            what = f"the integration used all {int(outcome.tried)} steps{blame}"
+            cause = f"steps are {h:.3g} s there: tight tolerances, fast rates, or a stiff system"
+            fix = "looser tolerances, or more steps: control=tx.StepControl(max_steps=...)"
         else:
             what = f"no step is small enough for the tolerances{blame}"
-            cause = "a jump in the rates there, a singularity, or dtmin"
-            fix = "name times of jumps with jumps=..., or try looser tolerances"
+            cause = "a jump in the rates at this time, a singularity, or a large dtmin"
+            fix = "list the times of jumps in jumps=..., or use looser tolerances"
     sizes = ", ".join(f"|{name}| = {_largest(value):.3g}" for name, value in x.items())
     return IntegrationError(
         f"{what}.\n  likely cause: {cause}\n  {last}: {sizes} (largest entries)\n"
@@ -95,18 +95,18 @@ def _not_finite_end(stepper: Stepper, steps: Steps, outcome: LoopOutcome, x: dic
     bad_controls = [name for values in on_host(_controls, stepper, t, h) or () for name in _not_finite(values)]
     if bad_controls:
         cause = f"control {bad_controls[0]!r} is not finite there"
-        return what, cause, "look at u between the start and the end of this step"
+        return what, cause, "check u between the start and the end of this step"
     # Of states so large that squares and cubes of them overflow, rates are not to blame.
     huge = any(_largest(v) > float(np.finfo(v.dtype).max) ** 0.25 for v in x.values())
     if _not_finite(rates) and not huge:
         cause = f"the rate of {_not_finite(rates)[0]!r} is not finite there, e.g. a division by zero"
-        return what, cause, "guard the expression, or stop before that state"
+        return what, cause, "limit the argument of the expression, or end the integration before that state"
     turns = _turns(stepper, rates, h) if rates else {}
     far = max((name for name in turns if name in bad), key=turns.__getitem__, default=None)
     if far is not None and turns[far] > _FAR:
         cause = (
-            f"{far!r} turns by some {turns[far]:.3g} rad in this step of {abs(float(h)):.6g} s, too far for one step: "
-            "exponential coordinates hold half a turn as polynomials, a full one in closed form"
+            f"{far!r} rotates by about {turns[far]:.3g} rad in this step of {abs(float(h)):.6g} s, too far for a step: "
+            "exponential coordinates support half a turn as polynomials, a full turn in closed form"
         )
         return what, cause, "try a smaller dt, or tx.charts.Exponential() for up to a full turn"
     cause, fix = (text.format(h=abs(float(h))) for text in steps.too_long)

@@ -38,12 +38,12 @@ class Result(enum.IntEnum):
 _SENTENCES = {
     Result.SUCCESS: "the end time was reached",
     Result.NON_FINITE: "a state became infinite or NaN",
-    Result.MAX_STEPS: "the steps ran out before the end time",
+    Result.MAX_STEPS: "the integration reached max_steps before the end time",
     Result.STEP_TOO_SMALL: "no step is small enough for the tolerances",
     Result.NEWTON_FAILED: "the equations of an implicit step could not be solved",
-    Result.EVENT: "an event stopped it",
+    Result.EVENT: "an event ended the integration",
     Result.NO_EVENT: "a phase ended without its event",
-    Result.MAX_CROSSINGS: "there was no room for another crossing",
+    Result.MAX_CROSSINGS: "there were more than max_crossings crossings",
 }
 
 

@@ -17,7 +17,7 @@ from ...errors import InputError
 from ...progress import Progress
 
 Now = TypeVar("Now")
-#: Called with the time that was reached, and the share of the way to the end.
+#: Called with the time that was reached, and the completed fraction to the end.
 ProgressCallback = Callable[[float, float], Any]
 
 #: The callbacks of running integrations by number: compiled programs, which are cached, hold only the number.
@@ -53,7 +53,7 @@ class ProgressCalls:
         """steps_to(now, stop) in parts of some steps, with a call of the callback after each.
 
         Args:
-            at: of what is carried the number of steps, the time, and the share of the way to the end; the number is
+            at: of what is carried the number of steps, the time, and the completed fraction to the end; the number is
                 `stop` or more where it halted.
         """
 
@@ -74,7 +74,7 @@ def callback_of(progress: Any) -> ProgressCallback | None:
     if callable(progress):
         return progress
     raise InputError(
-        f"progress expects True, or a function of the time reached and the share of the way, got {short(progress)}"
+        f"progress expects True, or a function of the time reached and the completed fraction, got {short(progress)}"
     )
 
 

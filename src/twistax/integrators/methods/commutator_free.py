@@ -78,7 +78,7 @@ class CommutatorFreeTableau(Coefficients):
         try:
             read = tuple(tuple(float(weight) for weight in row) for row in rows)
         except (TypeError, ValueError) as error:
-            raise self._error(f"{field} is no list of rows of numbers: {error}") from None
+            raise self._error(f"{field} is not a list of rows of numbers: {error}") from None
         for row in read:
             if not any(row):
                 raise self._error(f"{field} has an exponential whose weights are all zero")

@@ -16,6 +16,7 @@ from ...checks import listed
 from ...errors import InputError, in_phase
 from ...jax_inside import is_traced
 from ...plots import Pictured, draw
+from ...progress import watching
 from ...system.dynamics import Arrays
 from ..loop.rollout import wide
 from ..results.solution import AnySolution, Solution, Stats, need_one, need_within, times_to_evaluate
@@ -79,7 +80,7 @@ class PhasedSolution(AnySolution):
 
     @functools.cached_property
     def xs(self) -> Arrays:
-        """States that all phases have, by name, at `ts`; at the time of a join those after the jump."""
+        """The states that all phases have, by name, at `ts`; at a link the state after the jump."""
         return self._joined(lambda phase: phase.xs)
 
     @functools.cached_property
@@ -93,7 +94,8 @@ class PhasedSolution(AnySolution):
         return self._joined(lambda phase: phase.outputs)
 
     def evaluate(self, t: Any) -> Arrays:
-        """States that all phases have at a time () or at times (n,); at a join those after the jump. Needs dense=True.
+        """The states that all phases have, at a time () or at times (n,); at a link the state after the jump. Needs
+        dense=True.
 
         Raises:
             InputError: there is no dense output; times outside of the integration.
@@ -111,6 +113,7 @@ class PhasedSolution(AnySolution):
             states = {k: jnp.where(wide(after, v), here[k], v) for k, v in states.items() if _alike(here.get(k), v)}
         return states
 
+    @watching("plot")
     def plot(self, *names: Any, units: Mapping[str, str] | None = None) -> Any:
         """The states that all phases have over time, a matplotlib figure with gaps at the joins.
 
@@ -155,7 +158,7 @@ class PhasedSolution(AnySolution):
         return shown(Motion(ts, joined([part.xs for part in parts]), signals, params), path, **choices)
 
     def video(self, path: Any, *, size: tuple[int, int] = (1280, 720), **choices: Any) -> Path:
-        """A film of what `show` draws; see `Solution.video`."""
+        """A video of what `show` draws; see `Solution.video`."""
         return self.show(opened=False, **choices).video(path, size=size)
 
     def _columns(self, layout: Any) -> list[Column]:

@@ -95,7 +95,7 @@ def _called(make: Callable[[], Callable[..., Arrays]], stepper: Stepper, *rest: 
         result: Arrays = jitted(make, stepper, *rest)
     except jax.errors.UnexpectedTracerError:
         raise InputError(
-            "the function u reads values that were there only within jax.vmap or jax.jit.\n"
-            "  fix: return solution.us or solution.outputs from within it, or hand u those values through params"
+            "the function u reads values that existed only within jax.vmap or jax.jit.\n"
+            "  fix: return solution.us or solution.outputs from within it, or pass those values to u through params"
         ) from None
     return result

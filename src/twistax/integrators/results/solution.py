@@ -281,6 +281,7 @@ class Solution(AnySolution):
         states: Arrays = jitted(_between, self.dense.stepper, trail, ts.reshape(-1))
         return {name: value[0] for name, value in states.items()} if ts.ndim == 0 else states
 
+    @watching("plot")
     def plot(self, *names: Any, units: Mapping[str, str] | None = None) -> Any:
         """The saved states over time, a matplotlib figure; poses as positions and Euler angles in deg.
 

@@ -199,8 +199,8 @@ class FreeBody(FreeMotion):
         group = dynamics.group.factors[self.position]
         if not group.rigid:
             raise ModelError(
-                f"{self!r}: state {self.position!r} is no rotation or pose, it lives on {group.name}.\n"
-                "  fix: a point is a tx.FreeParticle(position, velocity)"
+                f"{self!r}: state {self.position!r} is not a rotation or a pose, its group is {group.name}.\n"
+                "  fix: for a point use a tx.FreeParticle(position, velocity)"
             )
         shape, wanted = dynamics.group.factors[self.velocity].shape, (group.dimension,)
         if shape != wanted:
@@ -271,7 +271,7 @@ def _inertia_of(inertia: Any) -> tuple[Expr, tuple[str, ...]]:
     except ModelError as error:
         raise ModelError(
             f"FreeBody expects inertia to be numbers, a Parameter or its name: {error}\n"
-            "  fix: what is traced goes through a Parameter of the system: inertia='J', params={'J': ...}"
+            "  fix: pass traced values through a Parameter of the system: inertia='J', params={'J': ...}"
         ) from None
     leaves = list(leaves_of(expr))
     names = tuple(leaf.name for leaf in leaves if isinstance(leaf, Parameter))

@@ -146,7 +146,7 @@ def _check(dynamics: Dynamics, motions: Sequence[FreeMotion]) -> None:
     known = [state.name for state in dynamics.states]
     for name in covered:
         if name not in known:
-            raise ModelError(f"Splitting: {name!r} is no state of the system; it has: {', '.join(map(repr, known))}")
+            raise ModelError(f"Splitting: {name!r} is not a state of the system; it has: {', '.join(map(repr, known))}")
         if covered.count(name) > 1:
             raise ModelError(f"Splitting: state {name!r} belongs to two parts of {list(motions)!r}")
     missing = [name for name in known if name not in covered]
@@ -154,7 +154,7 @@ def _check(dynamics: Dynamics, motions: Sequence[FreeMotion]) -> None:
         raise ModelError(
             f"Splitting: no body covers state {missing[0]!r}.\n"
             "  fix: add a tx.FreeBody or a tx.FreeParticle to bodies; "
-            f"a state that is no position or velocity has no free motion, but {_OTHERWISE}"
+            f"a state that is neither a position nor a velocity has no free motion, but {_OTHERWISE}"
         )
     for motion in motions:
         motion.check(dynamics)

@@ -178,8 +178,8 @@ def closed_dynamics(
     """The accelerations (n,) of a mechanism with closed loops, and the constraint wrench (6,) of each loop.
 
     The wrench acts on the frame `other`, about its origin in its axes, by the name of the loop; its opposite acts on
-    `frame`. If closures are redundant, for example a planar linkage that is closed in space, the wrenches are not
-    unique: the result is the smallest set, in the norm of `loops.Metric`, that gives the motion.
+    `frame`. If loop constraints are redundant, for example in a planar linkage that is closed in space, the wrenches
+    are not unique. The result is the minimum-norm solution in the norm of `loops.Metric`.
 
     Args:
         mechanism: with one loop or more.
@@ -218,8 +218,7 @@ def loop_diagnostics(
     *,
     wrenches: Wrenches | None = None,
 ) -> dict[str, Expr]:
-    """How well the loop closures determine the motion and the constraint wrenches at a configuration, scalars () by
-    name.
+    """Measures of the loop constraints at a configuration, scalars () by name.
 
     With $G_s = D G E^-1$ the closure rows in the norm of `loops.Metric`, and d the distance of each row from the span
     of the rows selected before it:
@@ -259,7 +258,7 @@ def loop_wrench(
     Pass the tau of `mechanism.system(outputs=lambda qdd, tau: ...)` for the wrench during the motion; without it the
     motors give no force.
 
-    Raises: as `closed_dynamics`; ModelError for a loop that is not known.
+    Raises: as `closed_dynamics`; ModelError for an unknown loop.
     """
     of = loop_of(mechanism, loop)
     F = closed_dynamics(mechanism, q, qd, tau, wrenches=wrenches)[1][loop]

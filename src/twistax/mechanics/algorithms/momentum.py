@@ -74,7 +74,7 @@ def total_mass(mechanism: KinematicTree) -> Expr:
 def center_of_mass(mechanism: KinematicTree, q: Positions | None = None) -> Expr:
     """$c = sum m_i c_i / sum m_i$ of all bodies that move (3,), m, in the base.
 
-    Raises ShapeError; ModelError where there is no mass.
+    Raises ShapeError; ModelError if there is no mass.
     """
     poses = checked("center_of_mass", mechanism).poses(q)
     moments = [body.mass * Act(poses[i], body.center_of_mass) for i, body in mechanism.bodies.items()]

@@ -34,11 +34,11 @@ class StepStatus(enum.IntEnum):
     """How a step of a `DifferentialController` ended.
 
     - `SOLVED`: the velocities are the optimum.
-    - `OVERRUN`: they are, but a joint cannot stop at its limit, or its speed falls below the limit too late, by the
-      acceleration that it may have; `DifferentialStep.overrun` says which one. It brakes.
-    - `INFEASIBLE`: no velocities keep the equalities, the constraints and the limits together.
+    - `OVERRUN`: the same, but with the allowed acceleration a joint cannot stop before its limit, or cannot reduce its
+      speed to the limit in time. It brakes; `DifferentialStep.overrun` names it.
+    - `INFEASIBLE`: no velocities satisfy the equalities, the constraints and the limits together.
     - `NOT_FINITE`: positions, targets or velocities have an entry that is not finite.
-    - `FAILED`: the solver stopped before it had the optimum.
+    - `FAILED`: the solver stopped before it found the optimum.
 
     The last three have velocities as near to zero as the limits allow.
     """
@@ -83,7 +83,7 @@ class DifferentialStep:
 
 
 class DifferentialController:
-    """Velocities that do several tasks at best, within limits: differential inverse kinematics.
+    """Differential inverse kinematics: joint velocities for several weighted tasks, within limits.
 
     A call solves a dense quadratic program,
 
@@ -91,9 +91,10 @@ class DifferentialController:
         subject to  $J qd = k e$ of the equalities,   $c' <= -k_c c$ of the constraints $c(q) <= 0$,
                     limits of position, speed and acceleration,
 
-    with weights w, gains k and errors e of the tasks, and mu from their `damping`. It is called under `jit` and `vmap`
-    too. Positions are as `reach` and `tx.integrate` have them. Weights, gains, limits and dt are arguments of the
-    compiled function: `replace` changes them without compiling.
+    with weights w, gains k and errors e of the tasks, and mu from their `damping`. It works under `jit` and `vmap`.
+    Positions have the form that `reach` and `tx.integrate` use. Weights, gains, limits and dt are arguments of the
+    compiled
+    function: `replace` changes them without compiling.
 
     Source: S. Caron and others, Pink (2022), for the cost and the damping; O. Kanoun, F. Lamiraux, P. Wieber, Kinematic
     control of redundant manipulators, IEEE Transactions on Robotics 27 (2011), for limits in the program.
@@ -155,7 +156,7 @@ class DifferentialController:
     ) -> DifferentialController:
         """A copy with other `dt`, `speed`, `acceleration`, `limit_gain`, `constraint_gain` or `regularization`.
 
-        Nothing is compiled anew, but where limits of acceleration come or go.
+        It recompiles only if acceleration limits are added or removed.
 
         Args:
             tasks, equalities: those of the controller with other weights, gains or damping, by `dataclasses.replace`.
@@ -214,10 +215,10 @@ class DifferentialController:
         states: Sequence[tuple[Any, ...]] | None = None,
         tolerance: float = 1e-6,
     ) -> CFiles:
-        """The step as C99 that calls nothing but the mathematics of the C library: no allocation, no global state.
+        """The step as C99 code without allocation and global state. It needs only libm.
 
-        Weights, gains, limits and dt are constants of the files. The header says how it is called. `<name>_test.c` has
-        a main that ends with 0 where velocities agree with those of Python.
+        Weights, gains, limits and dt are constants of the files. The header documents the calling convention.
+        `<name>_test.c` is a test program. It exits with 0 if velocities agree with those of Python.
 
         Args:
             directory: where files go.
@@ -225,7 +226,7 @@ class DifferentialController:
             states: (x, targets, qd) for the test, the last two may be left out; None: positions drawn at random, for
                 controllers whose tasks have all of their targets.
             tolerance: of the test, relative to the largest velocity.
-        Raises: InputError for names, folders or states that cannot be; ModelError for what has no form in C.
+        Raises: InputError for invalid names, folders or states; ModelError for functions without a form in C.
         """
         from .code import write_differential
 

@@ -15,7 +15,7 @@ from ..kinematic_tree import KinematicTree, Positions
 
 
 class OperationalSpace(NamedTuple):
-    """The inertia that a task meets, and the forces that it does not feel.
+    """The inertia of a task in operational space, and its null space.
 
     Attributes:
         inertia: $Lambda = (J M^-1 J^T)^-1$ (m, m): a force F of the task, by $tau = J^T F$, accelerates it by
@@ -30,13 +30,13 @@ class OperationalSpace(NamedTuple):
 
 
 def operational_space(mechanism: KinematicTree, J: ExprLike, q: Positions | None = None) -> OperationalSpace:
-    """The inertia, the inverse and the null space of a task with a Jacobian.
+    """The operational-space inertia, the dynamically consistent inverse and the null space of a task with a Jacobian.
 
-    With the wanted acceleration a of the task and other forces $tau_0$, the joint forces are
+    With the desired acceleration a of the task and other forces $tau_0$, the joint forces are
 
         $tau = J^T Lambda (a - J' qd) + N tau_0 + h$,
 
-    h the bias forces, `bias_forces`. J must have full rank: `ManipulabilityTask` keeps away from where it loses it.
+    h the bias forces, `bias_forces`. J must have full rank: `ManipulabilityTask` avoids singular configurations.
 
     Source: O. Khatib, A unified approach for motion and force control of robot manipulators: the operational space
     formulation, IEEE Journal of Robotics and Automation 3 (1987), equations 30, 37 and 51.
@@ -44,7 +44,7 @@ def operational_space(mechanism: KinematicTree, J: ExprLike, q: Positions | None
     Args:
         J: (m, n), such as `frame_jacobian(mechanism, "hand")[:3]` or `task.jacobian(mechanism)`.
         q: positions; those of the mechanism by default.
-    Raises: ShapeError for J of another shape, or with more rows than freedoms; ModelError for no mass that moves.
+    Raises: ShapeError for J of another shape, or with more rows than degrees of freedom; ModelError if no mass moves.
 
     Example:
         `space = operational_space(arm, frame_jacobian(arm, "hand")[:3])`
@@ -68,7 +68,7 @@ def computed_torque(
     damping: ExprLike,
     acceleration: ExprLike | None = None,
 ) -> Expr:
-    """Joint forces (n,) that make errors of the joints decay as $e'' + k_d e' + k_p e = 0$:
+    """Joint forces (n,) with which the joint errors decay as $e'' + k_d e' + k_p e = 0$:
 
         $tau = M(q) (qdd_d + k_d e' + k_p e) + h(q, qd)$.
 
@@ -80,7 +80,7 @@ def computed_torque(
         error_rate: $e' = qd_d - qd$ (n,).
         stiffness, damping: $k_p$ in 1/s2 and $k_d$ in 1/s, numbers or (n,).
         acceleration: $qdd_d$ (n,); zero by default.
-    Raises: ShapeError for another shape; ModelError for closures.
+    Raises: ShapeError for another shape; ModelError for a mechanism with loops.
 
     Example:
         `computed_torque(arm, q_d - arm.q, -arm.qd, stiffness=100.0, damping=20.0)`

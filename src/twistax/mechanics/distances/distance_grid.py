@@ -19,15 +19,15 @@ class DistanceGrid:
     """Signed distances of a solid at the points of a grid, such as those of a scanned room.
 
     Between points, `tx.tables.BSpline()` gives two continuous derivatives. The error of `tx.tables.Linear()` is at most
-    half of the diagonal of a cell, $|h| / 2$, for distances have slopes of at most 1. Outside of the grid the nearest
-    value on its border counts.
+    half of the diagonal of a cell, $|h| / 2$, because the gradient of a distance has at most the length 1. Outside of
+    the grid the value is that of the nearest point on its border.
 
     Attributes:
         axes: three arrays of coordinates, increasing, m, in the frame of the grid.
         values: (nx, ny, nz), m: negative inside the solid.
         kind: of the interpolation.
         at: T (4, 4) of the grid in the frame of its body; the identity by default.
-    Raises: ModelError for values of another shape, and numbers that are no pose.
+    Raises: ModelError for values of another shape, and numbers that are not a pose.
     """
 
     axes: Any

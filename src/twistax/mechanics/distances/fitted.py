@@ -20,8 +20,9 @@ _STEPS = 400
 def fitted_capsule(mesh: Any) -> Capsule:
     r"""A capsule that contains a mesh, of small volume $\pi r^2 (l + 4 r / 3)$ for the radius r and the length l.
 
-    The axis starts along a principal axis of the corners, and a simplex search turns it to the least volume. Around an
-    axis the radius is that of the least circle around the projections, and the ends are as near as the corners allow.
+    The axis starts along a principal axis of the corners, and a simplex search turns it to the least volume. For each
+    axis the radius is that of the smallest circle around the projections, and the length is the shortest that contains
+    the corners.
 
     Args:
         mesh: a `tx.view.Mesh`, a `ConvexPolytope`, or points (k, 3), m.
@@ -49,10 +50,10 @@ def fitted_capsule(mesh: Any) -> Capsule:
 
 
 def fitted_spheres(mesh: Any, count: int) -> list[Sphere]:
-    """At most so many spheres that together contain the convex hull of a mesh.
+    """Spheres, at most `count` of them, that together contain the convex hull of a mesh.
 
-    Each point p of the hull has $|p - c_i| <= r_i$ for one of the centres and radii, m. The hull is cut in two across
-    the longest axis of its largest part, again and again; each part has a small ball around it.
+    Each point p of the hull has $|p - c_i| <= r_i$ for one of the centres and radii, m. The largest part of the hull is
+    repeatedly cut in two across its longest axis; each part has a small ball around it.
 
     Args:
         mesh: as for `fitted_capsule`.

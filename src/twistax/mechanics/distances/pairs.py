@@ -36,8 +36,8 @@ def clearances(
 ) -> dict[str, Expr]:
     """The signed distances () of all pairs of frames that may touch, m, by names such as "hand-forearm", "hand-table".
 
-    Frames that one joint connects, and frames of one rigid body, are no pairs; neither are those in `ignored` and in
-    the SRDF file. Between several solids of two frames the least distance counts.
+    Frames connected by one joint, frames of one rigid body, and the pairs in `ignored` and in the SRDF file are
+    excluded. If frames have several solids, the distance is the smallest of all their pairs.
 
     Args:
         solids: by frame; None: the shapes of all links and of the base, meshes by convex hulls of 24 corners.
@@ -77,8 +77,8 @@ def clearances(
 def soft_minimum(distances: Iterable[Expr] | Mapping[str, Expr], width: float) -> Expr:
     """A minimum () without kinks between its values: $-w log sum exp(-d_i / w)$.
 
-    Of n values it is at most the minimum and at least the minimum less $w log n$. One constraint on it keeps clear of
-    all pairs, by up to so much more.
+    For n values it is at most the minimum and at least the minimum minus $w log n$. One constraint on it keeps all
+    pairs apart, with an additional margin of up to $w log n$.
 
     Args:
         distances: expressions (), such as those of `clearances`.

@@ -41,7 +41,7 @@ class ConvexPolytope:
         at: T (4, 4) in the frame of the body; the identity by default.
         most: None, or the number of corners that are kept. The radius then grows by the distance of what is left out,
             so that the solid contains the hull: `radius` says by how much.
-    Raises: InputError for points that are not finite or span no volume; ModelError for numbers that are no pose.
+    Raises: InputError for points that are not finite or span no volume; ModelError for numbers that are not a pose.
 
     Example:
         `signed_distance(ConvexPolytope(Mesh("hand.stl"), most=24), HalfSpace(), arm.pose("hand"))`

@@ -50,12 +50,12 @@ Solid: TypeAlias = Shape | HalfSpace | ConvexPolytope | DistanceGrid
 
 
 def signed_distance(a: Solid, b: Solid, T_a: ExprLike | None = None, T_b: ExprLike | None = None) -> Expr:
-    """The distance () of two solids, m; below zero the depth by which they overlap.
+    """The distance () of two solids, m; a negative value is the depth of penetration.
 
-    For cores with half lengths h, the distance outside is the least over corners and pairs of edges; with a box it is
-    inside the greatest over the separating axes n of $|n . p| - sum h |n . a|$, and the radii are taken off. Of two
-    capsules or balls the depth is at most the sum of the radii. The distance is continuous, and smooth but where the
-    nearest features change.
+    For separate cores with half lengths h the distance is the minimum over corners and pairs of edges. If they overlap
+    and one is a box, it is the maximum over the separating axes n of $|n . p| - sum h |n . a|$. The radii are
+    subtracted. For two capsules or balls the depth is at most the sum of the radii. The distance is continuous, and
+    smooth except where the nearest features change.
 
     Source: C. Ericson, Real-Time Collision Detection (2005), sections 4.4.1, 5.1.3 and 5.1.9.
 

@@ -21,7 +21,7 @@ class HalfSpace:
 
     Attributes:
         at: T (4, 4) of the plane in the frame that it belongs to; the identity by default.
-    Raises: ModelError, ShapeError where it is no pose of numbers.
+    Raises: ModelError, ShapeError if it is not a pose of numbers.
     """
 
     at: Any = dataclasses.field(default_factory=lambda: np.eye(4))

@@ -50,11 +50,12 @@ class WitnessPoints:
 def witness_points(a: Solid, b: Solid, T_a: ExprLike | None = None, T_b: ExprLike | None = None) -> WitnessPoints:
     r"""The nearest points of two solids and the normal between them, with derivatives.
 
-    With the gradient of the signed distance by a motion of b, n by translations and m by rotations, the points are
-    $p_a = n \times m + h_a(n)\, n$ and $p_b = p_a + d n$, where $h_a$ is the support function of a. Where several pairs
-    of points are nearest, as for parallel faces, they are one of these pairs, or a mean of some. Derivatives are exact
-    away from changes of the nearest features. Points and normal are not determined where a point or a segment meets the
-    core of the other solid, such as the centres of two spheres: there the normal may be zero, and nothing is NaN.
+    With the gradient of the signed distance with respect to translations of b, n, and to rotations, m, the points are
+    $p_a = n \times m + h_a(n)\, n$ and $p_b = p_a + d n$, where $h_a$ is the support function of a. If several pairs of
+    points are nearest, as for parallel faces, the result is one of these pairs or a mean of several. Derivatives are
+    exact away from changes of the nearest features. Points and normal are not determined where a point or a segment
+    meets the core of the other solid, such as the centres of two spheres: there the normal may be zero, but nothing is
+    NaN.
 
     Source: Boyd, Vandenberghe, Convex Optimization (2004), section 8.2.2: the normal separates by the supports.
 

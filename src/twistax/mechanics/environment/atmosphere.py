@@ -21,7 +21,7 @@ __all__ = ["US1976", "LayeredAtmosphere", "Pressure", "Temperature"]
 
 @dataclasses.dataclass(frozen=True)
 class LayeredAtmosphere:
-    """An atmosphere given by its temperature, linear in geopotential altitude within each layer.
+    """An atmosphere defined by its temperature, which is linear in geopotential altitude within each layer.
 
     With $H = r z / (r + z)$ the geopotential altitude of geometric altitude z, $T = T_i + L_i (H - H_i)$ in layer i and
     $p = p_i exp(-g M / R_u integral dH / T)$, so that $dp/dz = -rho g (r / (r + z))^2$.

@@ -179,7 +179,7 @@ class Meridian(Expr):
         rho: distance from the axis, m, not negative.
         z: height above the equatorial plane, m.
         ellipsoid: the reference.
-    Raises: ShapeError if rho or z is no scalar.
+    Raises: ShapeError if rho or z is not a scalar.
     Source: Bowring, Transformation from spatial to geographical coordinates, Survey Review 23 (1976).
     """
 

@@ -75,7 +75,7 @@ class Harmonics:
     def up_to(self, degree: int, order: int | None = None) -> Harmonics:
         """The terms up to a degree and an order; up_to(2, 0) is the point mass with J2.
 
-        Raises: ModelError for a degree that the model does not have.
+        Raises: ModelError for a degree above that of the model.
         """
         if whole("up_to: degree", degree, 0, ModelError) > self.degree:
             raise ModelError(f"up_to expects a degree up to {self.degree}, which these terms have, got {short(degree)}")

@@ -121,7 +121,7 @@ def burning(V: ExprLike, flow: ExprLike, kilogram: SpatialInertia, outlet: ExprL
             surface.
         outlet: r (3,), m, such as the engine's position.
     Raises: ShapeError.
-    Source: derived from the balance of momentum over the body's volume; Cornelisse, Schoyer and Wakker, Rocket
+    Source: the balance of momentum over the body's volume; Cornelisse, Schoyer and Wakker, Rocket
     Propulsion and Spaceflight Dynamics (1979), chapter 4, has the terms.
     """
     w = angular(of_shape("burning", "V", V, (6,)))

@@ -32,7 +32,7 @@ class Gust(NamedTuple):
 
 
 def even_turbulence(lengths: Any, intensities: Any) -> Scales:
-    """Turbulence scales that are the same at all heights, as above 2000 ft: $L_u = L_v = L_w = 1750$ ft.
+    """Turbulence scales that are constant over height, as above 2000 ft: $L_u = L_v = L_w = 1750$ ft.
 
     Args:
         lengths: (L_u, L_v, L_w), m, positive.

@@ -44,8 +44,7 @@ class Vehicle:
     On the axis of the planet there is no north direction: `attitude`, `euler`, `ned_velocity` and a wind are NaN there,
     and so is `rate(local_axes)` at a pole.
 
-    To a system in which leaves declare what they are (`tx.kinds`), its frames are "inertial", "fixed" to the planet,
-    "ned" and "body".
+    In a system with declared kinds (`tx.kinds`) its frames are "inertial", "fixed" to the planet, "ned" and "body".
 
     Args:
         planet: figure, rotation, gravity and air.
@@ -88,7 +87,7 @@ class Vehicle:
 
     @cached_property
     def velocity(self) -> Expr:
-        """(3,) relative to and in inertial axes, m/s."""
+        """The velocity (3,) relative to inertial axes, in inertial axes, m/s."""
         return known_as(self.pose[:3, :3] @ linear(self.twist), kinds.FreeVector(INERTIAL), _SPEED)
 
     @cached_property

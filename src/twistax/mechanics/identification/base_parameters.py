@@ -44,8 +44,9 @@ class BaseParameters:
 def identifiable_combinations(W: Any, names: Sequence[str], tolerance: float = 1e-8) -> BaseParameters:
     """The combinations of parameters that measurements with the stacked regressor W (N, p) determine.
 
-    The columns are taken in order. One whose distance from the span of those before it is below `tolerance` times its
-    length depends on them: $W_d = W_b K$, and with it $beta = theta_b + K theta_d$, in the units of the parameters.
+    The columns are taken in order. A column depends on the previous ones if its distance from their span is below
+    `tolerance` times its length: $W_d = W_b K$, and with it $beta = theta_b + K theta_d$, in the units of the
+    parameters.
 
     Source: M. Gautier, Numerical Calculation of the Base Inertial Parameters of Robots, J. of Robotic Systems 8 (1991).
 
@@ -53,7 +54,7 @@ def identifiable_combinations(W: Any, names: Sequence[str], tolerance: float = 1
         W: regressors of all samples, one under the other, of real motions or random ones.
         names: of the p parameters.
         tolerance: (), between 0 and 1; that of measured motions is as large as their noise.
-    Raises: ModelError for something else, or entries that are not finite.
+    Raises: ModelError for another shape, or entries that are not finite.
     """
     owner = "identifiable_combinations"
     names = name_list(f"{owner}: names", names, ModelError)
@@ -98,7 +99,7 @@ def sum_of(row: NDArray[np.float64], names: Sequence[str]) -> str:
 def base_parameters(
     mechanism: KinematicTree, *, drives: Collection[str] | None = None, samples: int | None = None, seed: int = 0
 ) -> BaseParameters:
-    """The combinations of inertial parameters that joint forces determine, if the mechanism may move in every way.
+    """The combinations of inertial parameters that joint forces determine, for arbitrary motions of the mechanism.
 
     They are those of `identifiable_combinations`, $beta = C theta$, for the regressor at random positions, velocities
     and accelerations. Units are those of `Regressor`.

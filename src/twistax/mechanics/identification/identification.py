@@ -24,13 +24,13 @@ _EQUAL = 1e-6
 
 
 class IdentificationStatus(enum.Enum):
-    """What became of an identification. The first of these that holds, from below:
+    """The status of an identification. If several apply, the last one in this list is returned:
 
     - `IDENTIFIED`: the data determine all base parameters, and the residuals are like the noise.
     - `UNDETERMINED`: the same, but the data leave base parameters open; `undetermined` names them.
     - `UNPHYSICAL`: physical bodies and drives fit worse than noise explains.
-    - `MISFIT`: residuals are larger than the noise, or correlated in time: the model lacks something, and the
-      covariance is too small.
+    - `MISFIT`: residuals are larger than the noise, or correlated in time: the model is incomplete, and the covariance
+      is too small.
     - `UNFINISHED`: the physical fit ended before a minimum.
     """
 
@@ -89,7 +89,7 @@ class Identification:
         Args:
             combination: the name of a parameter or of a combination, or coefficients by parameter, such as
                 {"link1.Izz": 1.0, "link2.Iyy": 1.0}.
-        Raises: InputError for an unknown name, and for what the data do not determine.
+        Raises: InputError for an unknown name, and for an undetermined combination.
         """
         wanted = np.zeros(len(self.parameters))
         if isinstance(combination, str) and combination in self.names:

@@ -41,7 +41,7 @@ def identify(
 ) -> Identification:
     """Parameters of bodies and drives from measured motions and joint forces, by weighted least squares.
 
-    The forces of the motors are $tau = Y(q, qd, qdd) theta$ less those of springs, with noise. With $theta$ of known
+    The motor forces are $tau = Y(q, qd, qdd) theta$ minus the spring forces, with noise. With $theta$ of known
     links and drives taken from the mechanism, and the base parameters $beta = C theta$ of the unknown ones, it
     minimises
 

@@ -28,13 +28,13 @@ _ZERO = Constant(0.0)
 
 
 def physical_inertia(parameters: ExprLike) -> SpatialInertia:
-    """The body of ten numbers $[a, d1, d2, d3, s12, s23, s13, t1, t2, t3]$, which is physical for all values of them.
+    """A body from ten numbers $[a, d1, d2, d3, s12, s23, s13, t1, t2, t3]$, physical for all values of the numbers.
 
     $m = e^(2 a)$ kg, the centre of mass is t, m. With the upper triangular S of the diagonal $e^d$ and the entries s
 
         $Sigma = m S S^T, I_c = tr(Sigma) 1 - Sigma$.
 
-    As Parameters they are found by any optimiser without constraints, see `log_cholesky` for their start.
+    As Parameters any optimiser can fit them without constraints; `log_cholesky` returns initial values.
 
     Source: C. Rucker, P. Wensing, Smooth Parameterization of Rigid-Body Inertia (2022), equations 8 to 10.
 
@@ -63,7 +63,7 @@ def log_cholesky(body: SpatialInertia) -> NDArray[np.float64]:
 
     Args:
         body: with numbers for mass, centre of mass and inertia, or Parameters with values.
-    Raises: ModelError for something else; a body that is flat, a line or a point, or that is not physical.
+    Raises: ModelError for another type; a body that is flat, a line or a point, or that is not physical.
     """
     of_kind("log_cholesky", "body", body, SpatialInertia)
     mass, center, tensor = (_number(name, getattr(body, name)) for name in ("mass", "center_of_mass", "inertia"))

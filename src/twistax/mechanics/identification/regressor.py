@@ -61,12 +61,12 @@ def inverse_dynamics_regressor(
 
     Each segment, with all that is fixed to it, has ten of them in its frame: the mass m, the first moment $m c$ and
     the inertia about the origin, in the order mass, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz. With a and w the angular
-    acceleration and velocity, b the acceleration of the origin less gravity, and $L(x)$ (3, 6) such that $L(x)$ times
+    acceleration and velocity, b the acceleration of the origin minus gravity, and $L(x)$ (3, 6) such that $L(x)$ times
     the six entries is $I x$, their wrench is
 
         $f = m b + ([a]x + [w]x [w]x) m c, tau = -[b]x m c + (L(a) + [w]x L(w)) I$
 
-    and goes to the base as that of `inverse_dynamics` does.
+    and it is propagated to the base as in `inverse_dynamics`.
 
     Source: C. Atkeson, C. An, J. Hollerbach, Estimation of Inertial Parameters of Manipulator Loads and Links (1986),
     equation 8.

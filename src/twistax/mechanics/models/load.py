@@ -105,8 +105,7 @@ def _read(root: Element, choices: Choices, floating: bool, quarter_turns: float,
         return Urdf(root, choices, floating=floating, quarter_turns=quarter_turns, folder=folder)
     if root.tag == "mujoco" and floating:
         raise root.wrong(
-            "floating=True is for URDF; MJCF says itself which bodies are free.\n"
-            "  fix: write <freejoint/> into the body"
+            "floating=True is for URDF; an MJCF file declares its free bodies.\n  fix: write <freejoint/> into the body"
         )
     if root.tag == "mujoco":
         return Mjcf(root, choices, quarter_turns=quarter_turns, folder=folder)

@@ -75,7 +75,7 @@ class Mjcf:
         self.base, self.shapes = self._name("body", 0), self._looks[0]
         self.gravity = np.array(self.model.opt.gravity) * self._switched_on("GRAVITY")
         if self.model.nbody == 1:
-            raise root.wrong("there is no <body>, so this is no model of a mechanism")
+            raise root.wrong("there is no <body>, so this is not a model of a mechanism")
         if not self.model.njnt:
             self.notes.append("there is no joint, so nothing moves")
         self._servos = self._actuators()
@@ -221,7 +221,7 @@ class Mjcf:
             if grouped_out or not self._switched_on("ACTUATION"):
                 self.notes.append(f"{what}, which the file switches off")
             elif not self._is_linear(a):
-                self.notes.append(f"{what}, whose force is no linear function of control and motion")
+                self.notes.append(f"{what}, whose force is not a linear function of control and motion")
             elif j in servos:
                 self.notes.append(f"{what}: its joint has another one, whose control is used")
             elif single:
@@ -261,7 +261,7 @@ class Mjcf:
             if model.actuator_forcelimited[a] or model.jnt_actfrclimited[j]:
                 self.notes.append(f"{what}: the limit of its force")
             if bias[1] > 0.0 or bias[2] > 0.0 or (bias[0] and not bias[1]):
-                self.notes.append(f"{what}: its bias, which is no spring or damper")
+                self.notes.append(f"{what}: its bias, which is not a spring or damper")
                 bias = np.zeros(3)
         else:
             for limited, (least, most), per_control in (

@@ -98,7 +98,7 @@ class Equalities:
         first, second = int(model.eq_obj1id[e]), int(model.eq_obj2id[e])
         shift, ratio, *more = (float(c) for c in model.eq_data[e, :5])
         if second < 0 or any(more) or not ratio:
-            self.notes.append(f"{what}, which is no linear relation of two joints")
+            self.notes.append(f"{what}, which is not a linear relation of two joints")
             return
         place = [float(model.qpos0[model.jnt_qposadr[j]]) for j in (first, second)]
         one, two = self._led.get(first, _Led(first)), self._led.get(second, _Led(second))

@@ -137,7 +137,7 @@ class Compiled:
         try:
             path = (self._folder / start / name).resolve()
         except (OSError, RuntimeError, ValueError) as error:  # a circle of links, a null character
-            raise element.wrong(f"{name!r} is no path of a file: {error}") from None
+            raise element.wrong(f"{name!r} is not a path of a file: {error}") from None
         if not path.is_relative_to(self._within):
             common = Path(os.path.commonpath([path, self._within]))
             raise element.wrong(

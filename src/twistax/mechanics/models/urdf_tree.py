@@ -28,7 +28,7 @@ class UrdfTree:
         self.joints = {element.text("name"): element for element in robot.all("joint")}
         self.notes = list[str]()
         if not self.links:
-            raise robot.wrong("there is no <link>, so this is no model of a robot")
+            raise robot.wrong("there is no <link>, so this is not a model of a robot")
         carriers = dict[str, Element]()
         for joint in self.joints.values():
             for end in ("parent", "child"):

@@ -104,7 +104,7 @@ def _refuse_repeated(elements: list[Element], kind: str) -> None:
         before = first.setdefault(element.text("name"), element)
         if before is not element:
             raise element.wrong(
-                f"a {kind} of this name stands in line {before.line} already.\n"
+                f"a {kind} of this name is already in line {before.line}.\n"
                 "  fix: give one of the two another name, or remove it"
             )
 
@@ -125,8 +125,7 @@ def _look(element: Element, unused: dict[str, list[int]]) -> None:
             before = first.setdefault(child.tag, child)
             if before is not child:
                 raise child.wrong(
-                    f"<{child.tag}> stands twice in {element.head}, in line {before.line} already.\n"
-                    "  fix: remove the one that does not hold"
+                    f"<{child.tag}> occurs twice in {element.head}, in line {before.line}.\n  fix: remove the wrong one"
                 )
         elif child.tag not in kind.often.split():
             known = child.tag in kind.unused.split()

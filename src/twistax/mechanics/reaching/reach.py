@@ -32,12 +32,12 @@ _NEARLY = 1e-4
 
 
 class ReachStatus(enum.IntEnum):
-    """What became of a target.
+    """The status of a target.
 
     - `REACHED`: all frames are at their targets, to the tolerances; all tasks are done and all constraints hold.
-    - `LIMIT`: the best seed ended where limits of joints stop it; `at_limit` says which.
-    - `UNREACHABLE`: the best seed ended without a limit that stops it: at a minimum of the distance where `slope` is
-      small, else after all iterations.
+    - `LIMIT`: the best seed ended at joint limits; `at_limit` marks these joints.
+    - `UNREACHABLE`: the best seed ended away from joint limits: at a minimum of the distance if `slope` is small, else
+      after all iterations.
     """
 
     REACHED = 0
@@ -91,7 +91,7 @@ class ReachResult:
         return tuple(dict.fromkeys(self.joints[i] for i in np.flatnonzero(stopped[index])))
 
     def broken(self, *index: SupportsIndex, tolerance: float = 1e-5) -> tuple[str, ...]:
-        """The constraints that the positions for one target break by more than a tolerance."""
+        """The constraints that the positions for one target violate by more than a tolerance."""
         over = np.flatnonzero(np.asarray(self.constraints[index]) > tolerance)
         return tuple(dict.fromkeys(self.constraint_names[i] for i in over))
 
@@ -112,20 +112,20 @@ def reach(
     angle_tolerance: float = 1e-5,
     iterations: int = 80,
 ) -> ReachResult:
-    """Inverse kinematics within the limits of joints: positions at which frames are at poses, or at positions.
+    """Inverse kinematics within joint limits: joint positions at which frames reach target poses or positions.
 
     It minimises $|e|^2$ with $e = [p_d - p; l Log(R^T R_d)]$ of all frames, by damped least squares on the groups,
 
         $d = D J^T (J D J^T + mu 1)^-1 e$
 
-    with D zero for joints that a limit stops, from seed to seed until one reaches the target. A seed is the best of
-    some random candidates. All targets run in one kernel. It is called under `jit`, `vmap` and `grad` too; derivatives
-    are those of the nearest solution, $dx = J^+ de$, where the target is reached, and zero elsewhere. The random
-    positions are the same in every call.
+    where D is zero for joints at a limit. It starts from one seed after another until one reaches the target. A seed is
+    the best of some random candidates. All targets run in one kernel. It works under `jit`, `vmap` and `grad`.
+    Derivatives are those of the nearest solution, $dx = J^+ de$, where the target is reached, and zero elsewhere. The
+    random positions are the same in every call.
 
-    Further `tasks` are done as the targets are, and the error of a constraint $c(q) <= 0$ is $max(c, 0)$. Where all of
-    that is reached, steps along its solutions make the errors of `secondary` tasks smaller, by their weights, to a
-    local minimum or until the iterations end.
+    Further `tasks` have the priority of the targets, and the error of a constraint $c(q) <= 0$ is $max(c, 0)$. Once all
+    of these are satisfied, steps in their null space reduce the weighted errors of `secondary` tasks, to a local
+    minimum or until the iterations end.
 
     Source: T. Sugihara, Solvability-Unconcerned Inverse Kinematics by the Levenberg-Marquardt Method, IEEE Transactions
     on Robotics 27 (2011), equations 14 to 18; C. Kanzow, N. Yamashita, M. Fukushima, Levenberg-Marquardt Methods with

@@ -14,7 +14,7 @@ from .task import Task
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class FrameTask(Task):
-    """A frame goes to a pose: $e = Log(T^-1 T_d)$ (6,), a twist [v; w] in its axes, $J = J_l(e)^-1 J_body$.
+    """Moves a frame to a pose: $e = Log(T^-1 T_d)$ (6,), a twist [v; w] in its axes, $J = J_l(e)^-1 J_body$.
 
     Source: S. Caron, Jacobian of a kinematic task and derivatives on manifolds (2023), as in pink's `FrameTask`.
 
@@ -22,7 +22,7 @@ class FrameTask(Task):
         frame: its name.
         target: $T_d$ (4, 4) in the base; None: the Control "<frame>_pose".
         weight, gain, damping: as of `Task`.
-    Raises: ModelError for a frame that is not known; ShapeError for a target of another shape; as `Task`.
+    Raises: ModelError for an unknown frame; ShapeError for a target of another shape; the errors of `Task`.
     """
 
     frame: str
@@ -38,13 +38,13 @@ class FrameTask(Task):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class PositionTask(Task):
-    """The origin of a frame goes to a position: $e = p_d - p$ (3,), m, in the axes of the base.
+    """Moves the origin of a frame to a position: $e = p_d - p$ (3,), m, in the axes of the base.
 
     Attributes:
         frame: its name.
         target: $p_d$ (3,) in the base; None: the Control "<frame>_position".
         weight, gain, damping: as of `Task`.
-    Raises: ModelError for a frame that is not known; ShapeError for a target of another shape; as `Task`.
+    Raises: ModelError for an unknown frame; ShapeError for a target of another shape; the errors of `Task`.
     """
 
     frame: str
@@ -60,13 +60,13 @@ class PositionTask(Task):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class OrientationTask(Task):
-    """The axes of a frame turn to a rotation: $e = Log(R^T R_d)$ (3,), rad, in its axes, $J = J_l(e)^-1 J_w$.
+    """Rotates a frame to an attitude: $e = Log(R^T R_d)$ (3,), rad, in its axes, $J = J_l(e)^-1 J_w$.
 
     Attributes:
         frame: its name.
         target: $R_d$ (3, 3) in the base; None: the Control "<frame>_orientation".
         weight, gain, damping: as of `Task`.
-    Raises: ModelError for a frame that is not known; ShapeError for a target of another shape; as `Task`.
+    Raises: ModelError for an unknown frame; ShapeError for a target of another shape; the errors of `Task`.
     """
 
     frame: str

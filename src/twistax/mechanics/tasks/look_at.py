@@ -18,17 +18,17 @@ from .task import Task
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class LookAtTask(Task):
-    """An axis a of a frame points at a point, such as that of a camera: $e = a - u$ (3,), in the axes of the frame,
+    """Points an axis a of a frame, such as that of a camera, at a point: $e = a - u$ (3,), in the axes of the frame,
     with the direction $u = R^T (p_d - p) / r$ and the distance r of the point. $J = [u] J_w - (1 - u u^T) J_v / r$.
 
-    The length of e is $2 sin(angle / 2)$. A turn about the axis is free.
+    The length of e is $2 sin(angle / 2)$. The rotation about the axis is free.
 
     Attributes:
         frame: its name.
         axis: a (3,) in the frame, of any length; its x axis by default.
         target: $p_d$ (3,) in the base; None: the Control "<frame>_look_at".
         weight, gain, damping: as of `Task`.
-    Raises: ModelError for an axis that is no direction.
+    Raises: ModelError for an axis that is zero or not finite.
     """
 
     frame: str

@@ -15,8 +15,8 @@ from .task import Task
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ManipulabilityTask(Task):
-    """The manipulability $m = sqrt(det(J J^T))$ of a frame rises: $log m$ by the gain in a second. The error is 1, the
-    Jacobian $(log m)_i = tr((J J^T)^-1 J_i J^T)$ with the derivatives $J_i$ of the frame's Jacobian.
+    """Increases the manipulability $m = sqrt(det(J J^T))$ of a frame: $log m$ by the gain per second. The error is 1,
+    the Jacobian $(log m)_i = tr((J J^T)^-1 J_i J^T)$ with the derivatives $J_i$ of the frame's Jacobian.
 
     Source: T. Yoshikawa, Manipulability of robotic mechanisms, International Journal of Robotics Research 4 (1985).
 
@@ -24,7 +24,7 @@ class ManipulabilityTask(Task):
         frame: its name.
         angular: whether J has the rows of the angular velocity as well.
         weight, gain, damping: as of `Task`.
-    Raises: ModelError for fewer freedoms than rows.
+    Raises: ModelError for fewer degrees of freedom than rows.
     """
 
     frame: str

@@ -13,13 +13,13 @@ from .task import Task
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class CenterOfMassTask(Task):
-    """The centre of mass goes to a position: $e = c_d - c$ (3,), m, in the base, $J = A_v / m$ with the centroidal
+    """Moves the centre of mass to a position: $e = c_d - c$ (3,), m, in the base, $J = A_v / m$ with the centroidal
     matrix $A = [A_v; A_w]$.
 
     Attributes:
         target: $c_d$ (3,); None: the Control "center_of_mass".
         weight, gain, damping: as of `Task`.
-    Raises: ModelError where no mass moves; ShapeError for a target of another shape; as `Task`.
+    Raises: ModelError if no mass moves; ShapeError for a target of another shape; the errors of `Task`.
     """
 
     target: ExprLike | None = None
@@ -33,7 +33,7 @@ class CenterOfMassTask(Task):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class MomentumTask(Task):
-    """The momentum about the centre of mass becomes $h_d = [p; L]$ (6,), N s and N m s: $A(q) qd = h_d$.
+    """Sets the momentum about the centre of mass to $h_d = [p; L]$ (6,), N s and N m s: $A(q) qd = h_d$.
 
     Its error is $h_d$ itself, and its gain is 1.
 
@@ -42,7 +42,7 @@ class MomentumTask(Task):
     Attributes:
         target: $h_d$ (6,), in axes parallel to the base's; None: the Control "momentum".
         weight, gain, damping: as of `Task`.
-    Raises: ModelError where no mass moves; ShapeError for a target of another shape; as `Task`.
+    Raises: ModelError if no mass moves; ShapeError for a target of another shape; the errors of `Task`.
     """
 
     target: ExprLike | None = None

@@ -18,7 +18,7 @@ from .task import Task
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class PostureTask(Task):
-    """Joints go to coordinates: $e = q_d - q$, rad or m. It keeps what other tasks leave free.
+    """Joints go to coordinates: $e = q_d - q$, rad or m. It determines the motion that other tasks leave free.
 
     Joints on groups, such as a floating base, have no coordinates; `FrameTask` moves these.
 
@@ -26,7 +26,7 @@ class PostureTask(Task):
         target: $q_d$ (w,), all of "q"; None: the Control "posture".
         joints: whose coordinates count; None: all of them.
         weight, gain, damping: as of `Task`.
-    Raises: ModelError for a joint that is not known, or on a group.
+    Raises: ModelError for an unknown joint, or one on a group.
     """
 
     target: ExprLike | None = None
@@ -44,8 +44,8 @@ class PostureTask(Task):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class JointLimitTask(Task):
-    """Joints stay in the middle of their limits: $e_i = (m_i - q_i) / h_i$ with the middle m and half of the range h,
-    so that $|e_i|$ is 1 at a limit. Coordinates without two limits do not count.
+    """Keeps joints near the middle of their limits: $e_i = (m_i - q_i) / h_i$ with the middle m and half of the range
+    h, so that $|e_i|$ is 1 at a limit. Coordinates without two limits are omitted.
 
     Source: A. Liegeois, Automatic supervisory control of the configuration and behavior of multibody mechanisms, IEEE
     Transactions on Systems, Man and Cybernetics 7 (1977), equation 28.
@@ -53,7 +53,7 @@ class JointLimitTask(Task):
     Attributes:
         joints: whose coordinates count; None: all of them.
         weight, gain, damping: as of `Task`.
-    Raises: ModelError for a joint that is not known, on a group, or if no limits are left.
+    Raises: ModelError for an unknown joint, a joint on a group, or if no joint has two limits.
     """
 
     joints: Collection[str] | None = None

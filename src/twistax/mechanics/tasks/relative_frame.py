@@ -14,14 +14,14 @@ from .task import Task
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class RelativeFrameTask(Task):
-    """A frame goes to a pose in another frame, which may move too: $e = Log(X^-1 X_d)$ (6,) with $X = T_r^-1 T$, and
-    $J = J_l(e)^-1 (J_body - Ad_X^-1 J_r)$.
+    """Moves a frame to a pose relative to another frame, which may also move: $e = Log(X^-1 X_d)$ (6,) with $X = T_r^-1
+    T$, and $J = J_l(e)^-1 (J_body - Ad_X^-1 J_r)$.
 
     Attributes:
         frame, relative_to: names.
         target: $X_d$ (4, 4); None: the Control "<frame>_in_<relative_to>".
         weight, gain, damping: as of `Task`.
-    Raises: ModelError for a frame that is not known; ShapeError for a target of another shape; as `Task`.
+    Raises: ModelError for an unknown frame; ShapeError for a target of another shape; the errors of `Task`.
     """
 
     frame: str

@@ -22,9 +22,9 @@ NUMBERS = ("weight", "gain", "damping")
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Task(abc.ABC):
-    """What a motion should do: an error, and velocities that make it smaller.
+    """An aim of a motion: an error, and the velocities that reduce it.
 
-    A task asks for velocities qd with
+    A task is an equation for the velocities qd,
 
         $J(q) qd = k e(q)$,
 
@@ -54,7 +54,7 @@ class Task(abc.ABC):
 
     @abc.abstractmethod
     def error(self, mechanism: KinematicTree) -> Expr:
-        """e (m,): the target less the present value, at the positions `mechanism.q`."""
+        """e (m,): the target minus the present value, at the positions `mechanism.q`."""
 
     @abc.abstractmethod
     def jacobian(self, mechanism: KinematicTree) -> Expr:

@@ -197,7 +197,7 @@ class MjcfText:
         name = frame if frame == self._mechanism.base else self._mechanism.link(frame).name
         if name not in self._bodies:
             raise ModelError(
-                f"to_mjcf: {loop!r} needs the frame {name!r}, whose link has no mass and is no body of MJCF"
+                f"to_mjcf: {loop!r} needs the frame {name!r}, whose link has no mass and is not a body in MJCF"
             )
         site = free_name(f"{loop.name} at {name}", self._frames)
         self._frames.add(site)

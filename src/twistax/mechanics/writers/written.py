@@ -55,7 +55,7 @@ class Losses:
         if self._places:
             lines = "".join(f"\n  {kind}: of {listed(places)}" for kind, places in sorted(self._places.items()))
             raise ModelError(
-                f"{self.owner}: {self.language} has no words for{lines}\n"
+                f"{self.owner}: {self.language} cannot express{lines}\n"
                 f"  fix: {self.owner}(leave_out={sorted(self._places)}) where the file may do without, or change it by "
                 "`replace`"
             )
@@ -71,7 +71,7 @@ class Losses:
                 raise ModelError(f"{self.owner}: {what} is {short(value)}, and {leaf!r} has no value")
         (constant,) = canonicalize_all([substitute(expr, known)])
         if not isinstance(constant, Constant):
-            raise ModelError(f"{self.owner}: {what} is no finite number: {short(value)}")
+            raise ModelError(f"{self.owner}: {what} is not a finite number: {short(value)}")
         return np.asarray(np.add(constant.value, 0.0), dtype=np.float64)  # without negative zeros
 
     def amounts(self, link: Link, names: Iterable[str]) -> dict[str, float]:

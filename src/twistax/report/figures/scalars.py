@@ -91,8 +91,8 @@ def _of_case(case: EvaluatedFunction) -> Section:
         ]
     if short:
         rows += [
-            row("values off", at_most(1e-13), disagreement, case, slow=True),
-            row("Jacobian off", at_most(1e-12), disagreement, case, derivative=True, slow=True),
+            row("difference of values", at_most(1e-13), disagreement, case, slow=True),
+            row("difference of Jacobians", at_most(1e-12), disagreement, case, derivative=True, slow=True),
         ]
     return rows
 

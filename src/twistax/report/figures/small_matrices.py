@@ -78,7 +78,7 @@ def _reported() -> dict[str, tuple[Any, ...]]:
     """What users of JAX reported as slow, by name: by `jax.jit`, by `tx.fast`, and the arguments."""
     path = Path(__file__).parents[4] / "examples" / "small_matrices.py"
     if not path.exists():
-        raise Absent("not run: the examples stand beside the package in its repository")
+        raise Absent("not run: the examples are only in the repository of the package")
     return {name: case for name, *case in runpy.run_path(str(path))["cases"]()}
 
 

@@ -40,7 +40,7 @@ class Var:
         return self.low > -math.inf or self.high < math.inf
 
     def guessed(self, shares: Array) -> Array:
-        """The guess at these shares of the final time."""
+        """The guess at these fractions of the final time."""
         if callable(self.guess):
             return np.broadcast_to(np.asarray(self.guess(shares), float), shares.shape)
         if self.guess is not None:
@@ -126,7 +126,7 @@ class Foreign:
         published: the optimum in print, on whatever mesh.
         linear: whether controls are linear between nodes, or else held.
         rule: how an interval is integrated; `theirs` says what the source does where that is something else.
-        nodes: shares of the final time instead of equal intervals.
+        nodes: fractions of the final time instead of equal intervals.
     """
 
     name: str

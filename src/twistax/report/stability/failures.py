@@ -120,8 +120,8 @@ INPUTS: Section = [
     "A step of zero never arrives.",
     _refused("a step of zero", "dt", dt=0.0),
     "What is no rotation is refused with its distance from one; it is never put right in silence.",
-    _refused("a reflection", "is no element of SE3", g=placed(_REFLECTION, 0.0)),
-    _refused("a rotation times 1.001", "is no element of SE3", g=placed(1.001 * np.eye(3), 0.0)),
-    _refused("a sheared rotation", "is no element", g=placed(_SHEARED, 0.0)),
-    _refused("a pose with another last row", "is no element of SE3", g=np.eye(4) + 1e-3 * np.eye(4, k=-3)),
+    _refused("a reflection", "is not an element of SE3", g=placed(_REFLECTION, 0.0)),
+    _refused("a rotation times 1.001", "is not an element of SE3", g=placed(1.001 * np.eye(3), 0.0)),
+    _refused("a sheared rotation", "is not an element", g=placed(_SHEARED, 0.0)),
+    _refused("a pose with another last row", "is not an element of SE3", g=np.eye(4) + 1e-3 * np.eye(4, k=-3)),
 ]

@@ -73,7 +73,7 @@ _BOUND, _OUTSIDE = at_most(1e-14, "rad/s2"), refused(tx.ModelError, "outside of 
 FILES: Section = [
     "What a file says twice or does not say is refused with file, line and element.",
     _refused("two links of one name", "line 4, <link name='rod'>", _BASE, _link(_ROD), _link(_ROD), _HINGE),
-    _refused("two inertias of one link", "<inertial> stands twice", _BASE, _link(_ROD + _ROD), _HINGE),
+    _refused("two inertias of one link", "<inertial> occurs twice", _BASE, _link(_ROD + _ROD), _HINGE),
     _refused("macros that are not expanded", "<xacro:leg> is a macro", _BASE, _link(_ROD), _HINGE, "<xacro:leg/>"),
     "An inertia with which accelerations are not determined is refused, one that merely no body has is noted.",
     _refused(

@@ -145,7 +145,7 @@ def _absolute(name: str, motion: Any, method: Method, dt: float, counts: tuple[i
 
 def _drift(motion: Any, chart: Chart | None, expected: Expected, note: str = "") -> MeasuredCase:
     what = f"R'R - I after a million steps, {'tumbling' if motion is free_body else 'constant twist'}{note}"
-    by = f"RK4, {'quaternion' if chart is None else 'matrix that nothing puts back'}"
+    by = f"RK4, {'quaternion' if chart is None else 'matrix without projection'}"
     run = motion, tx.RKMK(tx.tableaus.RK4, chart), 1e-2, (_MILLION,)
     return quick(what, by, expected, _absolute, "R'R - I", *run, slow=True)
 

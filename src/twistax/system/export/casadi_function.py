@@ -44,7 +44,7 @@ def to_casadi(dynamics: Functions, families: str | Sequence[str], name: str, che
     if twice:
         raise ModelError(
             f"a CasADi function names each of its arguments and results differently; {twice[0]!r} stands for two.\n"
-            "  fix: rename one, or ask for fewer families"
+            "  fix: rename one, or request fewer families"
         )
     # CasADi takes zero for what is not given: a mass of zero would go unnoticed, NaN does not.
     scalars = {p.name: float(p.value) for p in dynamics.parameters if p.value is not None and p.shape == ()}

@@ -105,7 +105,7 @@ def read(path: str | Path) -> tuple[System, dict[str, Any]]:
             size = sum(member.file_size for member in archive.infolist())
             if size > _LARGEST:
                 raise InputError(
-                    f"{place} says that it has {size:.3g} bytes, a saved system has at most {_LARGEST:.3g}.\n"
+                    f"{place} declares {size:.3g} bytes, but a saved system has at most {_LARGEST:.3g}.\n"
                     "  fix: give a file that Dynamics.save wrote; pass larger tables as parameters"
                 )
             content = json.loads(archive.read(_JSON))
@@ -119,7 +119,8 @@ def read(path: str | Path) -> tuple[System, dict[str, Any]]:
         system, options = _system(content, arrays)
         if _keys(system) != content["keys"]:
             raise ModelError(
-                f"the expressions of {place} read back as others: a class of theirs has changed since twistax "
+                f"the expressions of {place} differ from the saved ones: one of their classes has changed since "
+                f"twistax "
                 f"{content['twistax']} saved them.\n  fix: load the file with that version"
             )
     except FileNotFoundError:
@@ -135,7 +136,7 @@ def read(path: str | Path) -> tuple[System, dict[str, Any]]:
             f"{place} is not a whole file of a saved system: {error}.\n  fix: give a file that Dynamics.save wrote"
         ) from None
     except Exception as error:  # constructors of all classes run on what a damaged file says
-        raise InputError(f"{place} is no saved system, or damaged: {type(error).__name__}: {error}") from error
+        raise InputError(f"{place} is not a saved system, or is damaged: {type(error).__name__}: {error}") from error
     return system, options
 
 
@@ -307,7 +308,7 @@ def _written(value: Any, where: str, arrays: list[NDArray[Any]], places: dict[in
         return {"value": [_reference(type(value)), fields]}
     raise ModelError(
         f"{where} is {value!r}, which cannot be saved: files hold numbers, text, arrays and values of twistax, no "
-        "code.\n  fix: a group or a value of your own must be a frozen dataclass of such"
+        "code.\n  fix: a group or a value must be a frozen dataclass of these"
     )
 
 

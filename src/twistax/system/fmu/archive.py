@@ -114,7 +114,7 @@ def _start(kind: str, leaf: Any, passed: Any) -> Array:
         if not np.isfinite(value).all():
             raise InputError(f"to_fmu: {kind}[{leaf.name!r}] expects finite numbers, got {short(value)}")
         if group is not None and not group.flat and not group.known_defect(value) < _OFF:
-            raise InputError(f"to_fmu: {kind}[{leaf.name!r}] is no element of {group.name}\n  fix: {group.remedy}")
+            raise InputError(f"to_fmu: {kind}[{leaf.name!r}] is not an element of {group.name}\n  fix: {group.remedy}")
         return value
     values = [a for a in (getattr(leaf, "initial", None), leaf.guess) if a is not None and np.shape(a) == leaf.shape]
     finite = [np.asarray(a, float) for a in values if np.isfinite(a).all()]

@@ -80,9 +80,7 @@ class _Casadi:
                 f"{kind} expects a dict of options, got {short(self.options)}; e.g. {{'print_level': 5}}"
             )
         if "max_iter" in self.options:
-            raise TrajectoryError(
-                f"{kind}: max_iter is what is left of max_iterations.\n  fix: solve(max_iterations=...)"
-            )
+            raise TrajectoryError(f"{kind}: max_iter is set by max_iterations.\n  fix: solve(max_iterations=...)")
         if self.max_seconds is not None:
             number("max_seconds", self.max_seconds, "above zero", lambda it: 0.0 < it < np.inf, TrajectoryError)
 
@@ -237,7 +235,7 @@ def _progress(
 
 @dataclasses.dataclass(frozen=True)
 class IPOPT(_Casadi):
-    """IPOPT by CasADi, on this package's transcription: `problem.solve(solver=tx.trajectory.IPOPT())`.
+    """IPOPT, from CasADi, on the transcription of this package: `problem.solve(solver=tx.trajectory.IPOPT())`.
 
     Source: Wachter and Biegler, Mathematical Programming 106 (2006).
 
@@ -267,7 +265,7 @@ class IPOPT(_Casadi):
 
 @dataclasses.dataclass(frozen=True)
 class Fatrop(_Casadi):
-    """Fatrop by CasADi, which factors stage by stage like this package's own solver.
+    """Fatrop, from CasADi, an interior-point method with a factorisation by stages, like the solver of this package.
 
     Source: Vanroye, Sathya, De Schutter, Decre, FATROP, arXiv:2303.16746.
 

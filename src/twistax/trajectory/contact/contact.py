@@ -22,7 +22,7 @@ class Friction:
     r"""Coulomb friction of a `Contact` with the normal force N: $|f| \le \mu N$, and f dissipates as much power as it
     can, $\mu N |v| + f \cdot v \le \epsilon$.
 
-    Where the point slips in a plane, f is thus $-\mu N v / |v|$; where it sticks, any force within the cone. In space
+    So in a plane f is $-\mu N v / |v|$ while the point slips, and any force within the cone while it sticks. In space
     $|v|$ is the largest $d_i \cdot v$ over eight directions $d_i$, at least $0.92\,|v|$: so f may be 23 degrees off
     $-v$, and dissipates at least 0.92 of the greatest power.
 
@@ -79,17 +79,18 @@ class Friction:
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Contact(ConstraintSet):
-    r"""A point and a surface that may touch: $\phi \ge 0$, $N \ge 0$ and $\phi N \le \epsilon$.
+    r"""A complementarity constraint for a point and a surface that may touch: $\phi \ge 0$, $N \ge 0$ and $\phi N \le
+    \epsilon$.
 
-    Use it like a constraint, in the `constraints` of a `System`. The optimum decides when there is contact. The product
-    relates the force along an interval to the gap at its end, as a time step by the backward Euler method does; a
-    transcription by `tx.trajectory.Collocation(tx.tableaus.RADAU_IIA1)` is that method, in which impacts are inelastic
-    and take one interval. Multiple shooting has impacts at the nodes alone, where they are soft.
+    Use it like a constraint, in the `constraints` of a `System`. The optimiser decides when there is contact. The
+    product relates the force along an interval to the gap at its end, as a time step by the backward Euler method does;
+    a transcription by `tx.trajectory.Collocation(tx.tableaus.RADAU_IIA1)` is that method, in which impacts are
+    inelastic and take one interval. With multiple shooting, impacts occur only at nodes, and are soft.
 
     `problem.solve()` starts from a relaxation $\epsilon$ of a hundredth of a typical product. Each further one is 0.3
-    of the one before, from a warm start, down to the value of its parameter; nothing compiles again.
-    `result.complementarity` says what products are left. A solve with a warm start, `solve_many`, `solution` and
-    controllers use the last value at once.
+    of the previous one, with a warm start, down to the value of its parameter, without recompilation.
+    `result.complementarity` has the remaining products. A solve with a warm start, `solve_many`, `solution` and
+    controllers use only the last value.
 
     Sources: M. Posa, C. Cantu, R. Tedrake, A direct method for trajectory optimization of rigid bodies through contact,
     International Journal of Robotics Research 33 (2014), equations (10) to (14); S. Scholtes, Convergence properties

@@ -46,7 +46,7 @@ class Controller:
 
     `feedback` solves $min J$ of the problem with $x_0 = x$, the measured state, from the plan and the multipliers of
     the last call. With `max_iterations=2` this is a real-time iteration: the plan converges while the system moves.
-    With `max_iterations=100` it is a full solve, which `max_seconds` may cut off.
+    With `max_iterations=100` it is a full solve, which ends early after `max_seconds`.
 
     A controller has its own memory, so different controllers may run in different threads; the solve itself does not
     hold Python's lock. One controller serves one thread at a time.
@@ -273,7 +273,7 @@ class Controller:
             self._gains = Gains(self.prepared, self.staged, self.units)
 
     def constant_units(self) -> AbstractContextManager[None]:
-        """Within it the units stay what they are, as in C."""
+        """A context in which the units are constant, as in C."""
         return self._plan_units.constant()
 
     @property

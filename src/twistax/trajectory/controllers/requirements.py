@@ -21,9 +21,9 @@ def need_controllable(problem: Any) -> None:
     measured = {state.name for state in part.phase.dynamics.states}
     if added := sorted({state.name for state in part.dynamics.states} - measured):
         raise TrajectoryError(
-            f"controller: the problem has states that nothing measures: {', '.join(added)}. They stand for continuous "
+            f"controller: the problem has states that cannot be measured: {', '.join(added)}. They are from continuous "
             "controls, free node times, or integrals and extremes of the path.\n"
-            "  fix: held controls, nodes at fixed shares, running= in place of Integral"
+            "  fix: held controls, nodes at fixed fractions, running= in place of Integral"
         )
     if by_updates(problem.parts):
         raise TrajectoryError(

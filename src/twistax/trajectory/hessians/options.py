@@ -70,7 +70,7 @@ class QuasiNewton:
 
     After each step the Hessian of the Lagrangian of a stage, with respect to its state, control, times and
     free parameters, is corrected to agree with the change of first derivatives. No second
-    derivative is compiled or evaluated: use it for large rates, or rates that call back to Python. A solve takes more
+    derivative is compiled or evaluated: use it for large rates, or rates that call Python functions. A solve takes more
     iterations, most of them two to six times as many.
 
     The block B of a stage becomes $B + r r^T / (r^T s)$ with $r = y - B s$, for a scaled step s of its unknowns, and

@@ -86,8 +86,8 @@ class Extreme(Functional):
 class Maximum(Extreme):
     """The largest value of an expression of states, controls, parameters and time along the path, over all entries.
 
-    It is an upper bound s with $operand <= s$ at all points where path constraints are imposed. So it must be pushed
-    down: minimise it, or bound it from above in `final=`. Shape ().
+    It is an upper bound s with $operand <= s$ at all points where path constraints are imposed. So minimise it, or
+    bound it from above in `final=`; otherwise s is only an upper bound. Shape ().
 
     Raises: ModelError if the operand is a condition.
     """
@@ -99,7 +99,7 @@ class Maximum(Extreme):
 class Minimum(Extreme):
     """The smallest value of an expression along the path; see `Maximum`. Shape ().
 
-    It must be pushed up: maximise it, or bound it from below.
+    Maximise it, or bound it from below.
 
     Raises: ModelError if the operand is a condition.
     """

@@ -49,7 +49,7 @@ def state_guess(
     shares: Array,
     end_values: tuple[Array | None, Array | None] = (None, None),
 ) -> Array:
-    """Values of a state at nodes, given as shares of the final time; fixed ends are put in place.
+    """Values of a state at nodes, given as fractions of the final time; fixed ends are put in place.
 
     Without a guess the state goes from its initial to its final value along a geodesic, or stays where one is known.
 

@@ -198,7 +198,7 @@ class Problem:
         self.forget()
 
     def forget(self) -> None:
-        """Drop compiled solvers; they are made again when needed."""
+        """Free the compiled solvers; they are compiled again when needed."""
         self._cores: dict[tuple[float, int, int], CoreSolver] = {}
         self._implicit: Problem | None = None
 

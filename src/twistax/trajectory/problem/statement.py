@@ -243,7 +243,7 @@ def limited(place: str, residual: Expr, is_equality: bool) -> Array:
     numbers = [factor * part.value for factor, part in linear_terms(residual) if isinstance(part, Constant)]
     offset = np.broadcast_to(sum(numbers, np.zeros(())), residual.shape)
     if (np.isinf(offset) if is_equality else offset == np.inf).any():
-        raise ModelError(f"{place} expects numbers that a value can meet, got an infinite one")
+        raise ModelError(f"{place} expects a limit that a value can satisfy, got an infinite one")
     return np.asarray(offset != -np.inf)
 
 
@@ -276,8 +276,8 @@ def check_limits(states: Iterable[State]) -> None:
         for entry, low, high in zip(entry_names(state.name, state.shape), state.min.ravel(), state.max.ravel()):
             if low == high:
                 raise ModelError(
-                    f"{entry!r} has equal limits: min and max are {low:g}, so nothing can move it.\n"
-                    "  fix: put the number in its place, or ask it by an equality, in constraints= or final="
+                    f"{entry!r} has equal limits: min and max are {low:g}, so it is a constant.\n"
+                    "fix: replace it by the number, or impose an equality in constraints= or final="
                 )
 
 
@@ -314,7 +314,7 @@ def check_leaves(dynamics: Dynamics, place: str, expr: Expr, *, controls: bool) 
     for leaf in leaves_of(expr):
         if isinstance(leaf, Control) and not controls:
             raise ModelError(
-                f"{place} reads the control {leaf.name!r}, which has no value at a node, the final one neither.\n"
+                f"{place} reads the control {leaf.name!r}, which has no value at a node, not even at the final one.\n"
                 "  fix: make it a constraint of the system, or a running cost"
             )
         if is_rate(leaf, dynamics.controls):

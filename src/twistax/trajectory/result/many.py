@@ -20,7 +20,7 @@ from .result import TrajectoryResult, best_result
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class TrajectoryResults(Sequence[TrajectoryResult]):
-    """The results of many cases: arrays with a leading axis, and by index the result of one case.
+    """The results of many cases: arrays with a leading axis; an index returns the result of one case.
 
     Attributes:
         status: of every case.

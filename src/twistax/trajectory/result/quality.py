@@ -38,7 +38,7 @@ _FINER = "solve(refine=1e-4), more nodes or substeps, for stiff rates Collocatio
 
 @dataclasses.dataclass(frozen=True)
 class Optimality:
-    """How far a trajectory is from the first-order (KKT) conditions of an optimum, in scaled form.
+    """Residuals of the first-order (KKT) conditions of an optimum, in scaled form.
 
     The scale of an unknown is its change along the trajectory; that of the objective is its change with these
     changes.
@@ -124,8 +124,8 @@ class Quality:
 
     @functools.cached_property
     def undetermined(self) -> dict[str, Array]:
-        """Controls that the optimum does not determine: name of an entry -> (intervals,) the fraction, 0 to 1, of a
-        change of it that has no effect.
+        """Controls that the optimum does not determine: name of an entry -> (intervals,) the fraction, 0 to 1, of its
+        change that has no effect.
 
         A change has no effect if constraints remain satisfied and the objective is constant, to second
         order. Empty where the status is not SOLVED, and where the Hessian is not exact.
@@ -329,20 +329,16 @@ def _message(
         row = int(rows.argmax())
         name, place = shooting.names[row], shooting.places[row]
         raw = abs(float(outcome.values.rows[row]))
-        worst.append(f"{name!r} {place} is off by {sizes[name] if name in shown else raw:.3g}")
+        worst.append(f"{name!r} {place} is violated by {sizes[name] if name in shown else raw:.3g}")
     if dynamics.max(initial=0.0) > tolerance:
         stage, column = divmod(int(dynamics.argmax()), shooting.n)
         size = abs(float(outcome.values.defects[stage, column]))
-        worst.append(f"{shooting.defect(stage, column)} is off by {size:.3g}")
+        worst.append(f"{shooting.defect(stage, column)} is violated by {size:.3g}")
     sentence = f"Worst: {'; '.join(worst)}" if worst else "Every constraint holds"
     if outcome.status in (Status.MAX_ITERATIONS, Status.OUT_OF_TIME, Status.STOPPED, Status.STALLED):
         errors = outcome.errors
-        feasibility = (
-            f"feasibility {errors.feasibility:.1e}" if worst else f"slacks are off by {errors.feasibility:.1e}"
-        )
-        sentence += (
-            f"; in scales, stationarity is {errors.stationarity:.1e}, {feasibility} and the gap {errors.gap:.1e}"
-        )
+        feasibility = f"feasibility {errors.feasibility:.1e}{'' if worst else ' (of the slacks)'}"
+        sentence += f"; scaled, stationarity is {errors.stationarity:.1e}, {feasibility} and the gap {errors.gap:.1e}"
     return f"{outcome.status}. {sentence}."
 
 
@@ -352,21 +348,21 @@ def _looked_at(outcome: Outcome, tolerance: float) -> list[str]:
     if outcome.flat is not None:
         name, place, size = outcome.flat
         sentences.append(
-            f"The multiplier of {name!r} {place} is {size:.1e} in scales: it has no slope there. "
-            "State it with a slope where it holds, as v == 0 in place of v**2 <= 0."
+            f"The multiplier of {name!r} {place} is {size:.1e}, scaled: the constraint has zero derivatives there. "
+            "Write it with a nonzero gradient where it is active, as v == 0 in place of v**2 <= 0."
         )
     if accuracy is None:
         return sentences
     if accuracy.coarse and accuracy.factor > 1.0:
         sentences.append(
             f"The method is not stable on this mesh: {accuracy.unstable_place} each step multiplies a mode of the "
-            f"equations that does not grow by {accuracy.factor:.2g}, so the optimum of this mesh avoids what moves it: "
+            f"equations that does not grow by {accuracy.factor:.2g}, so the optimum on this mesh avoids this mode: "
             f"{_FINER}."
         )
     elif accuracy.coarse:
         sentences.append(
-            f"Integrated closely, the interval {accuracy.place} misses its end by {accuracy.error:.2g} in scales of "
-            f"the states, and the objective is off by about {accuracy.share:.1g} of its size, where "
+            f"By accurate integration the interval {accuracy.place} misses its end by {accuracy.error:.2g} in scales "
+            f"of the states, and the objective has an error of about {accuracy.share:.1g} of its size, where "
             f"{accuracy.tolerance:g} is allowed: {_FINER}."
         )
     if accuracy.exceeded:
@@ -397,4 +393,4 @@ def _first_not_finite(shooting: Transcribed, outcome: Outcome) -> str:
         return f"{shooting.names[row]!r} {shooting.places[row]} is {rows[row]:g}"
     for stage, column in np.argwhere(~np.isfinite(defects)):
         return f"{shooting.defect(int(stage), int(column))} is {defects[stage, column]:g}"
-    return "Its values are, its slopes are not" if np.isfinite(outcome.cost) else f"The objective is {outcome.cost:g}"
+    return "Its derivatives are not finite" if np.isfinite(outcome.cost) else f"The objective is {outcome.cost:g}"

@@ -76,7 +76,7 @@ def _need_finite(result: Any) -> None:
         wrong = np.flatnonzero(~np.isfinite(np.reshape(values, (len(values), -1))).all(axis=1))
         if wrong.size:
             raise TrajectoryError(
-                f"{name!r} is not finite at node {wrong[0]}, so nothing can be rolled out from there.\n"
+                f"{name!r} is not finite at node {wrong[0]}, so there is no rollout from there.\n"
                 "  fix: limits on states where the rates are defined, or another guess"
             )
 

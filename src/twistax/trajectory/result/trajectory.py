@@ -108,7 +108,7 @@ class Trajectory:
         return animated([self], path, choices)
 
     def video(self, path: Any, *, size: tuple[int, int] = (1280, 720), **choices: Any) -> Path:
-        """A film of what `show` draws; see `Solution.video`."""
+        """A video of what `show` draws; see `Solution.video`."""
         return self.show(opened=False, **choices).video(path, size=size)
 
     def replay(self, method: Any = None, steps: int = 20, *, rtol: float = 1e-10, atol: float = 1e-10) -> Replay:

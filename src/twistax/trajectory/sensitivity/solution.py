@@ -30,7 +30,7 @@ _ROUNDING = 100.0
 class Solution(NamedTuple):
     """An optimum as JAX arrays: objective as stated, states and controls by name, final time, free parameters.
 
-    `solved` is 1 for an optimum. Otherwise it is 0, the arrays are the last iterate, and derivatives are NaN.
+    `solved` is 1 for an optimum. Otherwise `solved` is 0, the arrays are the last iterate, and derivatives are NaN.
     """
 
     cost: jax.Array
@@ -89,7 +89,7 @@ def solution(
     if not getattr(problem, "alone", False):
         phases = len(getattr(problem, "parts", ()))
         got = f"a list of phases, {phases}" if phases else type(problem).__name__
-        raise TrajectoryError(f"solution expects a tx.trajectory.Problem that is no list of phases, got {got}")
+        raise TrajectoryError(f"solution expects a tx.trajectory.Problem of one phase, got {got}")
     if by_updates(problem.parts):  # derivatives need exact ones
         problem = problem.with_phases([{"hessian": None}])
     options = {"guess": guess, "warm": warm, "max_iterations": max_iterations, "mesh_tolerance": mesh_tolerance}
@@ -176,7 +176,7 @@ class _SolutionFor:
         for name in theta.params:
             if name in problem.by_node.leaves:
                 raise TrajectoryError(
-                    f"solution: params names {name!r}, which has a value for each node, and is no argument.\n"
+                    f"solution: params names {name!r}, which has a value for each node and cannot be an argument.\n"
                     "  fix: state the problem with its values, params={...}"
                 )
         for what, known in (("params", shapes), ("initial", of_states), ("final", of_states)):

@@ -11,23 +11,21 @@ class Status(enum.Enum):
 
     SOLVED = "the first-order conditions of an optimum hold within the tolerance"
     ACCEPTABLE = (
-        "the first-order conditions of an optimum hold within a hundred times the tolerance, and no step does better"
+        "the first-order conditions of an optimum hold within a hundred times the tolerance, and no step improves them"
     )
-    EXCEEDED = "the first-order conditions hold, but between nodes limits are exceeded by more than was asked for"
+    EXCEEDED = "the first-order conditions hold, but limits are exceeded between nodes by more than `between`"
     COARSE = "the first-order conditions hold on this mesh, but it is too coarse for the path"
     DEGENERATE = (
-        "the constraints hold, but one of them has no slope where it binds, so the conditions of an optimum say nothing"
+        "the constraints hold, but an active one has zero derivatives, so the optimality conditions are not meaningful"
     )
-    INFEASIBLE = "no trajectory was found that meets every constraint"
-    UNBOUNDED = (
-        "the objective improves without end while the constraints hold; most often nothing limits what it pushes"
-    )
-    MAX_ITERATIONS = "the iterations ran out before the first-order conditions held"
-    OUT_OF_TIME = "the time ran out before the first-order conditions held"
-    STOPPED = "the callback ended the search before the first-order conditions held"
-    STALLED = "the search found nothing better, but the first-order conditions do not hold"
-    NON_FINITE = "the problem has values or slopes that are not finite"
-    REFUSED = "the arguments of this case do not fit the problem, so it was not solved"
+    INFEASIBLE = "no trajectory was found that satisfies every constraint"
+    UNBOUNDED = "the objective improves without limit while the constraints hold; most often a limit is missing"
+    MAX_ITERATIONS = "the solve reached max_iterations before the first-order conditions held"
+    OUT_OF_TIME = "the solve reached max_seconds before the first-order conditions held"
+    STOPPED = "the callback ended the solve before the first-order conditions held"
+    STALLED = "the solver made no progress, but the first-order conditions do not hold"
+    NON_FINITE = "values or derivatives of the problem are not finite"
+    REFUSED = "the arguments of this case are invalid, so it was not solved"
 
     def __str__(self) -> str:
         return f"{self.name}: {self.value}"

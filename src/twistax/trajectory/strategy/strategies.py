@@ -43,16 +43,16 @@ class Strategy(enum.Enum):
     """
 
     RESCALING = (
-        "units are measured anew within a run and at the end of a failed one, which is then repeated in its first units"
+        "scales are computed again within a run and after a failed one, which is then repeated with its initial scales"
     )
-    STATED_SCALES = "a run that fails is repeated in the units of the statement"
-    PERTURBED_STARTS = "a run that fails is repeated from two starts beside its own"
-    FITTED_DURATIONS = "a run that fails is repeated from the durations that limited controls need"
-    LEAVING_SADDLES = "a solution that is no minimum is left along random directions"
+    STATED_SCALES = "a failed run is repeated without scaling, in the units of the problem"
+    PERTURBED_STARTS = "a failed run is repeated from two perturbed starts"
+    FITTED_DURATIONS = "a failed run is repeated with durations that fit the limits of the controls"
+    LEAVING_SADDLES = "a solution that is not a minimum is perturbed along random directions and solved again"
     IMPLICIT_STEPS = (
-        "where explicit steps are unstable and no optimum comes out, the problem is solved by implicit ones"
+        "if explicit steps are unstable and the solve finds no optimum, the problem is solved by implicit steps"
     )
-    LOWERED_RELAXATIONS = "complementarity constraints are relaxed at first, and less with each warm solve"
+    LOWERED_RELAXATIONS = "complementarity constraints are relaxed at first, and less in each further solve"
 
     def __reduce_ex__(self, protocol: Any) -> Any:
         """By name, in pickles and copies: sentences change."""

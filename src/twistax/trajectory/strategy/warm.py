@@ -40,8 +40,8 @@ class WarmStart:
     units: StartUnits | None = None
 
     def shifted(self, steps: int = 1) -> WarmStart:
-        """A warm start that many intervals later. The last control stays constant after the end, and the states are
-        integrated.
+        """A warm start, shifted by a number of intervals. The last control stays constant after the end, and the states
+        are integrated.
 
         Raises:
             TrajectoryError: steps is not a positive whole number; intervals are not equally long.

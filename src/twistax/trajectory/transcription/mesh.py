@@ -50,7 +50,7 @@ class Mesh:
                 or (shares[[0, -1]] != (0, 1)).any()
             ):
                 raise TrajectoryError(
-                    "nodes expects a whole number of 2 or more, or shares of the final time that increase from 0 to 1, "
+                    "nodes expects a whole number of 2 or more, or increasing fractions of the final time from 0 to 1, "
                     f"got {short(nodes)}; e.g. nodes=[0.0, 0.1, 0.4, 1.0]"
                 )
         shares.setflags(write=False)

@@ -68,7 +68,7 @@ class Collocation:
     """Collocation on the group: a polynomial in exponential coordinates about the first node of an interval.
 
     The derivative of the polynomial satisfies the equation at the nodes of the tableau. Use it for stiff systems, and
-    for long intervals of high order. The equations of a step are solved inside the interval, with the running cost
+    with high order for long intervals. The equations of a step are solved inside the interval, with the running cost
     integrated to the order of the tableau.
 
     Args:
@@ -127,7 +127,9 @@ def transcription_of(transcription: Any, method: Any, substeps: Any) -> Multiple
             f"got {transcription!r}"
         )
     if method is not None or substeps is not None:
-        raise TrajectoryError("transcription brings its own method and substeps; leave those out")
+        raise TrajectoryError(
+            "method and substeps belong to the transcription: leave them out where transcription= is passed"
+        )
     return transcription
 
 
