@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from ..jax_inside import Primitive, varying_alike, weakly_kept
 from .jax_primitive import Computed, Shapes, by_kernel, define
@@ -141,6 +142,11 @@ def _filled(row: Row) -> Callable[[jax.Array, Filling, Any], _Filled]:
     return one
 
 
+def decides(further: Sequence[Any]) -> bool:
+    """Whether the results of a step after its state begin with whether another iteration follows, from their types."""
+    return len(further) > 0 and further[0] == np.dtype(bool)
+
+
 def _row_of(program: ScalarProgram) -> Row:
     function = as_function(program)
     return lambda record, mark: function(*record, mark)[0]
@@ -158,14 +164,16 @@ def repeating(step: Callable[..., Any], count: int, row: Row | None = None) -> C
         def iteration(carried: tuple[jax.Array, jax.Array, Any]) -> tuple[jax.Array, jax.Array, Any]:
             k, _, (state, rows) = carried
             results = step(k, *fixed, *state)
+            new, record, good = results[:count], results[count:], jnp.asarray(True)
+            if decides([a.dtype for a in record]):
+                more, *record = record
+            else:
+                more = good = jnp.stack([jnp.isfinite(a).all() for a in new]).all()
+                new = [jnp.where(good, after, before) for after, before in zip(new, state, strict=True)]
             if row is not None:
-                record = results[count + 1 :]
-                rows = rows.up_to(record[0], row, record)
-            if len(results) > count:
-                return k + 1, results[count], (results[:count], rows)
-            good = jnp.stack([jnp.isfinite(a).all() for a in results]).all()
-            kept = [jnp.where(good, new, old) for new, old in zip(results, state, strict=True)]
-            return k + good.astype(k.dtype), good, (kept, rows)
+                least = -jnp.inf if jnp.issubdtype(record[0].dtype, jnp.floating) else jnp.iinfo(record[0].dtype).min
+                rows = rows.up_to(jnp.where(good, record[0], least), row, record)
+            return k + good.astype(k.dtype), more, (new, rows)
 
         start = (list(state), rows)
         k, _, (final, rows) = jax.lax.while_loop(going, iteration, (first, jnp.asarray(True), start))
@@ -179,8 +187,8 @@ class Repeated(_Rolled):
     """A repeated step, and rows that are filled on the way.
 
     Args:
-        step: takes (k, *fixed, *state), gives (*state); or (*state, more), more whether another iteration follows; or
-            (*state, more, reach, *record).
+        step: takes (k, *fixed, *state), gives (*state); or (*state, more), more whether another iteration follows.
+            With rows (reach, *record) follow.
         state: how many arguments are the state.
         kernel: as of all loops.
         row: takes (reach, *record, mark), gives a row; None: there are none.

@@ -182,7 +182,11 @@ def test_the_language_of_devices_gives_what_numpy_gives(kind: str, dtype: Any) -
 @pytest.mark.parametrize("dtype", TYPES)
 @pytest.mark.parametrize("kind", KINDS)
 def test_ptx_of_each_kind(kind: str, dtype: Any, tmp_path: Path) -> None:
-    """It is assembled too where NVIDIA's assembler is installed; in single precision no value spills."""
+    """It is assembled too where NVIDIA's assembler is installed; in single precision no value spills.
+
+    A long program was compiled for this processor before: its order of instructions is an option of the process.
+    """
+    compiled("", Processor.host(), long=True)
     for body in _by_columns(bodies_of(kind, dtype)):
         module = Module(ptx.device((9, 0)))
         ptx.write_kernel(module, body)
@@ -199,9 +203,8 @@ def test_ptx_of_each_kind(kind: str, dtype: Any, tmp_path: Path) -> None:
             command = [assembler, "-v", "-arch=sm_90", str(file), "-o", str(tmp_path / "kernel.cubin")]
             ran = subprocess.run(command, capture_output=True, text=True)
             assert ran.returncode == 0, ran.stderr
-            # Whole, the derivative spills 1,600 bytes; how many its parts do depends on the order of operations.
-            spilled = [int(count) for count in re.findall(r"(\d+) bytes spill stores", ran.stderr)]
-            assert dtype == np.float64 or max(spilled) <= 400
+            # Whole, the derivative spills 1,600 bytes.
+            assert dtype == np.float64 or set(re.findall(r"(\d+) bytes spill stores", ran.stderr)) == {"0"}
 
 
 def _by_columns(bodies: list[KernelBody]) -> list[KernelBody]:

@@ -13,11 +13,12 @@ import numpy as np
 from ...checks import short, whole
 from ...errors import InputError
 from ...jax_inside import is_traced
+from ...scalar.loops import Filling
 from ..charts.coordinates import Blocks
 from ..controls import row_at
 from ..events.search import AcceptedStep, halted_code
 from ..method import StepAttempt, Stepper
-from .kernels import Packed, kernel_steps
+from .kernels import KernelSteps, Packed, kernel_steps
 from .loop import Steps, Visits, all_finite, put, rows, zeros_like
 from .outcome import EventState, LoopOutcome, Result, Run, Saved, StepPart
 from .progress_callback import ProgressCalls
@@ -144,6 +145,7 @@ class _State:
     every: Any  # the states so far if kept
     slopes: Any  # those of the last step, where there are events and the method has any
     event_state: Any
+    rows: Any = None  # of kernels: the states before the saved times
 
 
 @jax.tree_util.register_dataclass
@@ -203,6 +205,12 @@ class FixedSteps(Steps):
         state = _State(zero, y, carry, zero, jnp.zeros((), int), every, slopes, None)
         if self.at is None:
             return state, stops[0]
+        if self.events is None and every is None and self._kernel(stepper, state, saves=True) is not None:
+            marks, start = stops[:-1], Packed.of(y).flat
+            # The start is the row of no steps; padding has no row.
+            marks = jnp.where(jnp.arange(marks.size) < self.at.count, marks, jnp.iinfo(marks.dtype).max)
+            table = jnp.broadcast_to(start, (marks.size, start.size))
+            return dataclasses.replace(state, rows=Filling(marks, table, (marks <= 0).sum(dtype=zero.dtype))), stops[-1]
         return state, Visits(stops, self.at.count, (y, jnp.zeros((), bool)))
 
     def first_step(self, state: _State) -> tuple[jax.Array, jax.Array]:
@@ -232,11 +240,12 @@ class FixedSteps(Steps):
             event_state=state.event_state,
         )
 
-    def kernel(self, stepper: Stepper, state: _State, stop: Any, most: Any) -> Callable[..., _State] | None:
+    def _kernel(self, stepper: Stepper, state: _State, saves: bool) -> KernelSteps | None:
         number = jnp.zeros_like(state.steps)
-        kernel = None
-        if state.every is None:
-            kernel = kernel_steps(stepper, self.grid, number, (state.y, state.carry, state.slopes))
+        return kernel_steps(stepper, self.grid, number, (state.y, state.carry, state.slopes), saves)
+
+    def kernel(self, stepper: Stepper, state: _State, stop: Any, most: Any) -> Callable[..., _State] | None:
+        kernel = None if state.every is not None else self._kernel(stepper, state, state.rows is not None)
         if kernel is None:
             return None
 
@@ -244,15 +253,15 @@ class FixedSteps(Steps):
             end = state.steps + 1 if one else stop if most is None else most
             # A loop that halted already stays as it is.
             end = end if one else jnp.where(state.code == Result.SUCCESS.value, end, state.steps)
-            (y, carry, slopes), steps = kernel.run(
-                stepper, self.grid, state.steps, end, (state.y, state.carry, state.slopes)
+            (y, carry, slopes), steps, filled = kernel.run(
+                stepper, self.grid, state.steps, end, (state.y, state.carry, state.slopes), state.rows
             )
             halted = steps < end
             tried = steps - state.steps + halted.astype(steps.dtype)
             evaluations = state.evaluations + tried * kernel.evaluations
             code = jnp.where(halted, Result.NON_FINITE.value, state.code)
             return dataclasses.replace(
-                state, steps=steps, y=y, carry=carry, slopes=slopes, evaluations=evaluations, code=code
+                state, steps=steps, y=y, carry=carry, slopes=slopes, evaluations=evaluations, code=code, rows=filled
             )
 
         return run
@@ -264,7 +273,7 @@ class FixedSteps(Steps):
         kernel = kernel_steps(stepper, grid, number, start)
         if kernel is None:
             return Packed.of(stepper.advance(t, state.y, h))
-        (moved, _, _), count = kernel.run(stepper, grid, number, number + 1, start)
+        (moved, _, _), count, _ = kernel.run(stepper, grid, number, number + 1, start, None)
         packed = Packed.of(moved)
         return Packed(jnp.where(count > 0, packed.flat, jnp.nan), packed.read)
 
@@ -298,7 +307,11 @@ class FixedSteps(Steps):
         trail = None if state.every is None else self.trail(None, state.steps, state.every)
         rows_saved = None
         if self.at is not None:
-            starts, reached = jax.tree.map(lambda a: a[:-1], saved)
+            if state.rows is None:
+                starts, reached = jax.tree.map(lambda a: a[:-1], saved)
+            else:
+                read = Packed.of(state.y).read
+                starts, reached = jax.vmap(read)(state.rows.table), self.at.index <= state.steps
             requested = jnp.arange(len(reached)) < self.at.count
             times = self.grid.begin(self.at.index)[0]
             rows_saved = Saved(self.at.index, times, starts, reached & requested, requested)

@@ -92,23 +92,30 @@ class KernelSteps(NamedTuple):
     evaluations: int  # of the right-hand side in a step
 
     def run(
-        self, stepper: Stepper, grid: Any, first: jax.Array, stop: jax.Array, state: tuple[Blocks, Carry, Any]
-    ) -> tuple[tuple[Blocks, Carry, Any], jax.Array]:
-        """Steps `first` to `stop` - 1, or until a state is not finite: the last finite state, and the number of its
-        step.
+        self,
+        stepper: Stepper,
+        grid: Any,
+        first: jax.Array,
+        stop: jax.Array,
+        state: tuple[Blocks, Carry, Any],
+        rows: Filling | None,
+    ) -> tuple[tuple[Blocks, Carry, Any], jax.Array, Filling | None]:
+        """Steps `first` to `stop` - 1, or until a state is not finite: the last finite state, the number of its step,
+        and the saved rows.
         """
         packed = Packed.of(state)
-        (flat,), count, _ = repeat(self.repeated, first, stop, jax.tree.leaves((grid, stepper)), [packed.flat])
-        return packed.read(flat), count
+        (flat,), count, filled = repeat(self.repeated, first, stop, jax.tree.leaves((grid, stepper)), [packed.flat], rows)
+        return packed.read(flat), count, filled
 
 
 def kernel_steps(
-    stepper: Stepper, grid: Any, number: jax.Array, state: tuple[Blocks, Carry, Any]
+    stepper: Stepper, grid: Any, number: jax.Array, state: tuple[Blocks, Carry, Any], saves: bool = False
 ) -> KernelSteps | None:
     """Steps of a grid in one kernel; `number` is that of a step, for its type.
 
     Args:
         state: the stored state, what the method carries, and the slopes of the last step, where steps are sampled.
+        saves: whether it fills rows with the states after some numbers of steps.
     """
     packed = Packed.of(state)
     leaves, structure = jax.tree.flatten((number, (grid, stepper)))
@@ -122,15 +129,17 @@ def kernel_steps(
             k, (grid, stepper) = jax.tree.unflatten(structure, leaves[:-1])
             state = packed.read(leaves[-1])
             attempts.append(grid.attempt(stepper.in_arrays, k, state))
-            return [Packed.of((attempts[-1].y, attempts[-1].carry, state[2] and attempts[-1].slopes)).flat]
+            new = Packed.of((attempts[-1].y, attempts[-1].carry, state[2] and attempts[-1].slopes)).flat
+            return [new, k + 1, Packed.of(attempts[-1].y).flat] if saves else [new]
 
-        repeated = stepper.dynamics.backend.steps().repeated(step, types, 1)
+        row = (lambda _, y, __: [y]) if saves else None
+        repeated = stepper.dynamics.backend.steps().repeated(step, types, 1, row)
         # A kernel cannot report that the equations of a step were not solved.
         if repeated is None or attempts[-1].solved is not None or not isinstance(attempts[-1].evaluations, int):
             return None
         return KernelSteps(repeated, attempts[-1].evaluations)
 
-    return _made(stepper, state[:2], (kernel_steps, structure, form, types, parts), make)
+    return _made(stepper, state[:2], (kernel_steps, structure, form, types, parts, saves), make)
 
 
 def kernel_tries(

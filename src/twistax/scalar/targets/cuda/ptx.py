@@ -9,14 +9,13 @@ import importlib.util
 import os
 import re
 import shutil
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from ..llvm.code import Module
 from ..llvm.kernel_body import BatchFunction
-from ..llvm.machine_code import BuildError, Processor
+from ..llvm.machine_code import BuildError, Processor, compiling
 
 #: What the entry of the kernel is called.
 ENTRY = "kernel"
@@ -24,8 +23,6 @@ ENTRY = "kernel"
 _TRIPLE = "nvptx64-nvidia-cuda"
 #: The version of PTX of CUDA 12.0, and the highest capability that it knows.
 _VERSION, _HIGHEST = "+ptx80", (9, 0)
-
-_LOCK = threading.Lock()
 
 _INDICES = ("ctaid", "ntid", "tid")
 _ENTRY = """define ptx_kernel void @{name}({heads}, i64 %rows) {{
@@ -90,7 +87,7 @@ def assembled(module: Module, text: str, loops: bool = True) -> str:
 
     for symbol in module.library:
         text = re.sub(rf"@{symbol}\b", f"@__nv_{symbol}", text)
-    with _LOCK:
+    with compiling(in_order=True):  # the assembler of PTX has a scheduler
         llvm.initialize_all_targets()
         llvm.initialize_all_asmprinters()
         try:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...loops import decides
 from ...program import ScalarProgram
 from .code import NAMES, Code
 from .kernel_body import KernelBody, Rounded, Scalars, arguments_of, by_numpy, needed_by
@@ -22,11 +23,12 @@ class Iterations(KernelBody):
 
     Takes (first, stop, *fixed, *state), gives (*state, k): the state, and the number of the next iteration. Each member
     iterates as long as it must. What stays the same is computed once. The program takes (k, *fixed, *state), and gives
-    (*state) or (*state, more), all states of its precision; `state` arguments are the state.
+    (*state) or (*state, more), with `more` a boolean and all states of its precision; `state` arguments are the state.
 
     With rows it takes (length, first, stop, number, *fixed, *state, marks, table) and gives (*state, k, number, table);
-    the program gives (*state, more, reach, *record). After an iteration rows number, number + 1, ... whose marks are
-    not beyond `reach` are filled, in the table that came in; `number` is then that of the next row, at most `length`.
+    the results of the program end with (reach, *record). After an iteration rows number, number + 1, ... whose marks
+    are not beyond `reach` are filled, in the table that came in; `number` is then that of the next row, at most
+    `length`.
 
     Args:
         row: takes (reach, *record, mark), gives a row.
@@ -40,9 +42,10 @@ class Iterations(KernelBody):
         heads, tails = [number, number], list[Array]()
         results = [*rest[len(rest) - state :], number]
         if row is not None:
+            marks = Array((), row.graph.dtype_of(row.inputs[-1]), long=True)
             table = Array(row.outputs[0].shape, row.types[0], long=True)
             # The length of the rows comes first, as in all functions of long arrays.
-            heads, tails = [COUNT, *heads, number], [Array((), table.dtype, long=True), table]
+            heads, tails = [COUNT, *heads, number], [marks, table]
             results += [number, table]
         #: The argument with the number of the first iteration; the next argument is the one to stop at.
         self._first = 0 if row is None else 1
@@ -50,8 +53,9 @@ class Iterations(KernelBody):
         self._shift = len(heads) - 1
         #: The first argument of the step that is state.
         self._first_state = len(rest) - state + 1
-        #: Whether a result of the step decides if another iteration follows.
-        self._decides = len(program.outputs) > state
+        #: Whether a result of the step decides if another iteration follows; its first result that rows are made from.
+        self._decides = decides(program.types[state:])
+        self._first_record = state + self._decides
         arguments = [*heads, *rest, *tails]
         always = {*range(len(heads)), *range(self._first_state + self._shift, len(arguments))}
         needed = {k + self._shift for k in needed_by(program) if k > 0}
@@ -87,7 +91,7 @@ class Iterations(KernelBody):
         end = code.loop(carried)
         values = scalars.compute(step.flat)
         new_states, record = values[: len(states)], values[len(states) :]
-        more = record[0] if self._decides else _finite(code, kind, new_states)
+        more = record.pop(0) if self._decides else _finite(code, kind, new_states)
         good = live if self._decides else code.instruction("and", "i1", live, more)
         ends = [code.select(kind, good, new, now[place]) for place, new in zip(states, new_states, strict=True)]
         ends.append(code.instruction("add", counter, count, code.convert("zext", "i1", counter, good)))
@@ -95,7 +99,7 @@ class Iterations(KernelBody):
         if self._decides:
             going_on = code.instruction("and", "i1", going_on, more)
         if filling is not None:
-            ends.append(filling.write(number, live, record[1:]))
+            ends.append(filling.write(number, good, record))
         end([*ends, going_on], code.any(going_on))
         left = iter(ends)
         for k in self.written:
@@ -111,7 +115,7 @@ class Iterations(KernelBody):
             changed[0] = np.full_like(changed[0], self.tried)
             changed[3] = np.zeros_like(changed[3])
             after = by_numpy(self.program, [first, *changed[4:-2]])
-            changed[-2] = (after[len(self.results) - 2] + _MARK_OFFSETS).astype(changed[-2].dtype)
+            changed[-2] = (after[self._first_record] + _MARK_OFFSETS).astype(changed[-2].dtype)
         return changed
 
     def plain(self, arguments: Sequence[NDArray[Any]], rounded: Rounded = np.asarray) -> list[NDArray[Any]]:
@@ -125,11 +129,12 @@ class Iterations(KernelBody):
         while live.any():
             results = by_numpy(self.program, [k, *fixed, *state], rounded)
             more = results[count] if self._decides else live
-            for values in [] if self._decides else results:
+            for values in [] if self._decides else results[:count]:
                 live = live & np.isfinite(values).all(1, keepdims=True)
             state = [np.where(live, new, old) for new, old in zip(results, state, strict=False)]
             if self._row is not None:
-                filled = _rows_by_numpy(self._row, results[count + 1 :], live, rest[-2], filled, rounded)
+                record = results[self._first_record :]
+                filled = _rows_by_numpy(self._row, record, live, rest[-2], filled, rounded)
             k = k + live
             live = live & more & (k < stop)
         return [*state, k, *filled]
@@ -143,7 +148,9 @@ class _Filling:
     ) -> None:
         self._code, self._row = code, row
         self._marks, self._table = rows[f"a{len(arguments) - 2}"], rows[f"r{table}"]
-        self._mark, self._row_array = Array((), row.types[0]), Array(row.outputs[0].shape, row.types[0])
+        marks = arguments[-2].dtype
+        self._mark, self._row_array = Array((), marks), Array(row.outputs[0].shape, row.types[0])
+        self._not_beyond = "fcmp ole" if marks.kind == "f" else "icmp sle"
         self._counter = NAMES[arguments[3].dtype]
         length = rows["a0"].read(0)
         self._length = length if self._counter == "i32" else code.convert("sext", "i32", self._counter, length)
@@ -158,7 +165,7 @@ class _Filling:
             live: which members took the iteration.
             record: the further results of the iteration, from which rows are made; the first is how far it came.
         """
-        code, counter, kind = self._code, self._counter, NAMES[self._mark.dtype]
+        code, counter, kind = self._code, self._counter, self._row_array.kind
         places = [(k, j) for k, array in enumerate(self._row.inputs[:-1]) for j in range(array.size)]
         known = dict(zip(places, record, strict=True))
         before, head, fill, latch, done = (code.label() for _ in range(5))
@@ -169,7 +176,7 @@ class _Filling:
         there = code.instruction("icmp slt", counter, now, self._length)
         place = code.select(counter, there, now, self._last)
         mark = self._marks.window(self._starts(place, 1), self._mark).read(0)
-        due = code.instruction("fcmp ole", kind, mark, record[0])
+        due = code.instruction(self._not_beyond, self._mark.kind, mark, record[0])
         due = code.instruction("and", "i1", code.instruction("and", "i1", there, live), due)
         code.lines += [f"br i1 {code.any(due)}, label %{fill}, label %{done}", f"{fill}:"]
         scalars = Scalars(code, self._row, lambda argument, entry: known.get((argument, entry), mark))

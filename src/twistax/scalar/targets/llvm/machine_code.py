@@ -142,7 +142,7 @@ def compiled(text: str, processor: Processor, long: bool = False, packed: bool =
         ImportError: llvmlite is not installed.
         BuildError: LLVM refuses the text.
     """
-    with watched("compile"), _LOCK, _in_order() if long else contextlib.nullcontext():
+    with watched("compile"), compiling(in_order=long):
         machine = _target_machine(processor, min(LEVEL, 1) if long else LEVEL)
         try:
             objects = [_compiled(part, machine, packed) for part in _divided(text)]
@@ -181,22 +181,29 @@ _ORDERED = range(20, 23)
 
 
 @contextlib.contextmanager
-def _in_order() -> Iterator[None]:
-    """Instructions stay in their order, in which few numbers wait for their use.
+def compiling(in_order: bool) -> Iterator[None]:
+    """A context in which LLVM compiles, for one thread at a time.
 
-    LLVM's scheduler of instructions lets more wait, which takes registers, and half of the time of a long function. The
-    option is that of the process: what others compile with llvmlite meanwhile stays in its order too.
+    Its option of the order of instructions is that of the process: what others compile with llvmlite meanwhile has it
+    too. It is set for each text, since the option as it was at first, where each kind of processor has its choice, does
+    not come back: that order would depend on what was compiled before.
+
+    Args:
+        in_order: instructions stay in their order, in which few numbers wait for their use. LLVM's scheduler of
+            instructions lets more wait, which takes registers, and half of the time of a long function.
     """
     import llvmlite.binding as llvm
 
-    known = llvm.llvm_version_info[0] in _ORDERED
-    if known:
-        llvm.set_option("twistax", "-enable-misched=false")
-    try:
-        yield
-    finally:
-        if known:
-            llvm.set_option("twistax", "-enable-misched=true")
+    def schedule(on: bool) -> None:
+        if llvm.llvm_version_info[0] in _ORDERED:
+            llvm.set_option("twistax", f"-enable-misched={str(on).lower()}")
+
+    with _LOCK:
+        schedule(not in_order)
+        try:
+            yield
+        finally:
+            schedule(True)
 
 
 def load(

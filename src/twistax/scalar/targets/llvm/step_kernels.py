@@ -14,7 +14,7 @@ from ...array_primitive import KernelOfArrays
 from ...backends import ANY_SIZE, XLA, Shapes, Step, StepCompiler, pure
 from ...graph import TooLarge
 from ...jax_primitive import PLATFORMS, Derived, Differentiable, call_program
-from ...loops import Looped, MakeKernel, Repeated, Ring, repeating
+from ...loops import Looped, MakeKernel, Repeated, Ring, decides, repeating
 from ...program import Rows, ScalarProgram
 from .code import NotNative
 from .iterations import Iterations
@@ -34,7 +34,7 @@ class StepKernels(StepCompiler):
         program = self._whole_step(step, shapes)
         if program is None:
             return None if row is not None else self._loop_of_matrices(step, shapes, state)
-        record = program.restricted(program.outputs[state + 1 :])
+        record = program.restricted(program.outputs[state + decides(program.types[state:]) :])
         form, row_form = native_form(program), None
         if record.outputs and row is not None:
             outputs = zip(record.outputs, record.types, strict=True)
