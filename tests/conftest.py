@@ -5,9 +5,8 @@ import functools
 import gc
 import os
 import sys
-import threading
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,6 @@ import jax
 import jaxtyping
 import pytest
 from beartype import beartype
-from jax._src.interpreters import mlir
 from jaxtyping import install_import_hook
 
 #: XLA's work on a program took over half of the suite's time, four fifths of it for speed that no test needs.
@@ -39,27 +37,9 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
-# Where each operation was written would be put into each program: a twentieth of the time, and no test reads it.
-jax.config.update("jax_traceback_in_locations_limit", 0)
-
-if jax.__version_info__ < (0, 11):
-    # As newer versions of JAX do: a context of MLIR for each program took a quarter of the time of compiling a small
-    # one and three quarters of its memory, so that much was dropped and compiled again.
-    _contexts = threading.local()
-
-    def _shared_context(make: Callable[[], object] = mlir.make_ir_context) -> object:
-        """A context of this thread, which fifty programs share; a new one within the lowering of another program."""
-        if mlir.ir.Context.current is not None:
-            return make()
-        if getattr(_contexts, "left", 0) == 0:
-            _contexts.context, _contexts.left = make(), 50
-        _contexts.left -= 1
-        return _contexts.context
-
-    mlir.make_ir_context = _shared_context
-
-# Traced programs are millions of objects: looking through them for cycles took an eighth of the suite's time.
-gc.set_threshold(50_000, 20, 20)
+# Programs of pages and examples, in processes of their own, begin with the same settings. Users have none of them.
+if os.environ["XLA_FLAGS"]:
+    os.environ["TWISTAX_BEGIN"] = str(Path(__file__).with_name("quick_jax.py"))
 
 #: Their functions act on single scalars or equations, a hundred thousand times for a large system: checks would take
 #: most of the time.
@@ -120,6 +100,7 @@ jaxtyping.jaxtyped = checked
 install_import_hook(checked_modules(), "beartype.beartype")
 
 
+import quick_jax  # noqa: E402, F401
 from kernel_level import optimised  # noqa: E402, F401  imports the package, so it comes last
 
 
