@@ -104,7 +104,9 @@ class KernelSteps(NamedTuple):
         and the saved rows.
         """
         packed = Packed.of(state)
-        (flat,), count, filled = repeat(self.repeated, first, stop, jax.tree.leaves((grid, stepper)), [packed.flat], rows)
+        (flat,), count, filled = repeat(
+            self.repeated, first, stop, jax.tree.leaves((grid, stepper)), [packed.flat], rows
+        )
         return packed.read(flat), count, filled
 
 
