@@ -86,7 +86,7 @@ REFUSED_FIRST = {
     r"\bspoils\b": "state the effect",
     r"\bof (your|one's) own\b": "custom",
     r"\bstands? (twice|beside|above|below|in line)\b": "occurs, is listed",
-    r"\bsays (which|what|whether|how|that|of)\b": "states, names, lists",
+    r"\bsays (which|what|whether)\b": "states, names, lists",
     r"\bwhat became of\b": "the status of",
     r"\bto begin with\b": "initial, first",
     r"\bin one go\b": "in one call, in one experiment",
@@ -95,13 +95,10 @@ REFUSED_FIRST = {
     r"\bno words for\b": "cannot express",
     r"\bgain(s|ed)? nothing\b|\bnothing is gained\b": "gives no speed-up",
     r"\bturns? (round|anew)\b": "is reversed",
-    r"(?<!there )\b(is|are) no (pose|rotation|parameter|state|output|element|model|tuple|list|name|number|scalar|text)\b": (
-        "is not a"
-    ),
+    r"(?<!there )\b(is|are) no (pose|rotation|parameter|state|output|element|model|list|name|number|text)\b": "is not a",
     r"\ball told\b": "in total",
     r"\b(puts?|brings?) back\b": "projects, restores",
     r"\bran out\b": "reached the limit",
-    r"\bas they are\b|\bas it is\b(?! (evaluated|called))": "unchanged",
     r"\bcarry on\b": "continue",
 }
 

@@ -44,7 +44,7 @@ def test_values_are_those_of_the_function(function: Callable[..., Any]) -> None:
     close(tx.fast(function)(A, X), jax.jit(function)(A, X))
 
 
-@pytest.mark.filterwarnings("ignore:.*gains nothing")
+@pytest.mark.filterwarnings("ignore:.*gives no speed-up")
 @every
 @pytest.mark.parametrize("backend", [tx.XLA(), tx.JAX()], ids=str)
 def test_and_so_they_are_by_other_backends(function: Callable[..., Any], backend: Any) -> None:
@@ -110,7 +110,7 @@ def test_forward_is_reverse_is_numeric() -> None:
     check_grads(tx.fast(lambda x: counted(A, x)), (X,), order=2, modes=("fwd", "rev"), rtol=1e-6, eps=1e-4)
 
 
-@pytest.mark.filterwarnings("ignore:.*gains nothing")
+@pytest.mark.filterwarnings("ignore:.*gives no speed-up")
 def test_derivatives_of_complex_results() -> None:
     def turned(x: jax.Array) -> jax.Array:
         def body(c: jax.Array, row: jax.Array) -> tuple[jax.Array, None]:
@@ -205,7 +205,7 @@ def test_its_own_derivative_is_kept() -> None:
     np.testing.assert_allclose(with_loop, 0.99**900 * np.ones(3), rtol=1e-10)
 
 
-@pytest.mark.filterwarnings("ignore:.*gains nothing")
+@pytest.mark.filterwarnings("ignore:.*gives no speed-up")
 def test_what_has_no_scalar_form_runs_as_it_is() -> None:
     def noisy(x: jax.Array) -> jax.Array:
         return jax.random.normal(jax.random.key(0), (3,), x.dtype) + x

@@ -212,14 +212,14 @@ MIXING: dict[str, Callable[[jax.Array], Any]] = {
 }
 
 
-@pytest.mark.filterwarnings("ignore:.*gains nothing")
+@pytest.mark.filterwarnings("ignore:.*gives no speed-up")
 @pytest.mark.parametrize("name", MIXING)
 def test_the_numbers_are_those_of_the_function(name: str) -> None:
     function = MIXING[name]
     close(tx.fast(function)(XS), jax.jit(function)(XS), 1e-11)
 
 
-@pytest.mark.filterwarnings("ignore:.*gains nothing")
+@pytest.mark.filterwarnings("ignore:.*gives no speed-up")
 def test_a_length_that_is_that_of_other_axes_too() -> None:
     """Of a square the axis of the members is not known: the numbers are right whichever is tried."""
     for a in (BIG, BIG[:, :, None] * XS[:, None]):

@@ -1,4 +1,4 @@
-"""What `tx.fast` does not keep, and what it says where it gains nothing."""
+"""What `tx.fast` does not keep, and its warning where it gives no speed-up."""
 
 import importlib.util
 from collections.abc import Callable
@@ -60,13 +60,13 @@ def loud(x: Any) -> Any:
 )
 def test_it_warns_once_and_says_why(function: Callable[..., Any], arguments: Any, reason: str) -> None:
     own = tx.fast(function)
-    with pytest.warns(RuntimeWarning, match=f"gains nothing, the function runs as JAX has it: .*{reason}"):
+    with pytest.warns(RuntimeWarning, match=f"gives no speed-up, JAX executes the function: .*{reason}"):
         result = own(*arguments)
     np.testing.assert_allclose(result, function(*arguments), atol=1e-12)
     own(*arguments)
 
 
-@pytest.mark.filterwarnings("ignore:.*gains nothing")
+@pytest.mark.filterwarnings("ignore:.*gives no speed-up")
 def test_layers_of_a_network_are_left_to_xla() -> None:
     """Its products with large matrices, and hyperbolic tangents, are faster there."""
     net = tx.fast(lambda x: jnp.tanh(jnp.tanh(x @ LARGE) @ LARGE.T))

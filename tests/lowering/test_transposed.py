@@ -52,7 +52,7 @@ def test_what_is_not_linear_is_refused() -> None:
 
 
 @each_backend
-@pytest.mark.filterwarnings("ignore:Explicitly requested dtype", "ignore:.*gains nothing")
+@pytest.mark.filterwarnings("ignore:Explicitly requested dtype", "ignore:.*gives no speed-up")
 def test_the_switch_of_precision_is_that_of_jit(backend: Any) -> None:
     """After the function is compiled; also for arrays of 64 bits that are left from before."""
     plain = lambda v: jnp.sin(v) * v + 2.0  # noqa: E731

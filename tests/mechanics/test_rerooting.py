@@ -128,5 +128,5 @@ def test_what_cannot_turn_round() -> None:
         tree.rerooted("hinge")
     with pytest.raises(ModelError, match="no link 'hand'"):
         tree.rerooted("hand")
-    with pytest.raises(ModelError, match="'ball' would turn round, and its drive has 'armature'"):
+    with pytest.raises(ModelError, match="'ball' would be reversed, and its drive has 'armature'"):
         tree.replace(drives={"ball": Drive(armature=0.1)}).rerooted("screw")

@@ -285,7 +285,7 @@ def test_problems_without_a_measured_start_are_refused() -> None:
     cost = tx.Minimize(running=u * u)
     for options, match in (
         ({"initial": {p: np.nan}}, "initial value of 'p' free"),
-        ({"initial": {p: 0.0}, "controls": tx.trajectory.Linear()}, "nothing measures: u"),
+        ({"initial": {p: 0.0}, "controls": tx.trajectory.Linear()}, "cannot be measured: u"),
         ({"initial": {p: 0.0}, "hessian": tx.trajectory.QuasiNewton()}, "QuasiNewton"),
     ):
         with pytest.raises(tx.TrajectoryError, match=match):

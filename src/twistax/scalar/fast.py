@@ -60,12 +60,12 @@ class Fast(Generic[P, R]):
         return f"tx.fast({getattr(self._function, '__qualname__', self._function)}, backend={self._backend})"
 
     def _warned(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> R:
-        """The results; says once where nothing is gained."""
+        """The results, with one warning if there is no speed-up."""
         result, reasons = self._traced(args, kwargs)
         if reasons and not any(reason.gains for reason in reasons) and not isinstance(self._backend, JAX):
             why = "; ".join(dict.fromkeys(reason.text for reason in reasons))
             missing = "" if installed() else "; llvmlite, which compiles kernels, is not installed"
-            say_once(f"{self!r} gains nothing, the function runs as JAX has it: {why}{missing}")
+            say_once(f"{self!r} gives no speed-up, JAX executes the function: {why}{missing}")
         return result
 
     def explain(self, *args: P.args, **kwargs: P.kwargs) -> str:

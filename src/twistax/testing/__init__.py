@@ -1,4 +1,4 @@
-"""Laws that every group, joint, node, tableau and scene keeps, to be checked for parts of your own.
+"""Laws that every group, joint, node, tableau and scene keeps, for checks of custom parts.
 
 The test suite of this package runs the same functions over everything that it has.
 """

@@ -133,7 +133,7 @@ class MaximumLikelihood:
 
         Args:
             data: an `Experiment`, or a list of them.
-            params: values of parameters; of those that are free the values to begin with. Default values, and the
+            params: values of parameters; initial values of free ones. Default values, and the
                 middle of limits, if left out.
         Raises:
             InputError, ShapeError: experiments and parameters that do not fit the system.
@@ -153,7 +153,7 @@ class MaximumLikelihood:
         return estimate
 
     def _values(self, params: Values) -> dict[str, Any]:
-        """The values of parameters with those to begin with."""
+        """The values of parameters, initial ones for free parameters."""
         values = {name_of(key): value for key, value in params.items()}
         for box in self.boxes:
             value, leaf = values.get(box.name), self.free[box.name]
@@ -276,7 +276,7 @@ def fit(
         dynamics: the compiled system.
         data: a `tx.estimation.Experiment`, or a list of them.
         free, measurements, priors, options: as of `tx.estimation.MaximumLikelihood`.
-        params: values of parameters in their units; of those that are free the values to begin with.
+        params: values of parameters in their units; initial values of free ones.
     Raises:
         ModelError, InputError, ShapeError: arguments that do not fit the system.
         EstimationError: steps that do not converge, numbers that are not finite.

@@ -150,7 +150,7 @@ class BatchSmoother:
         """The most probable states over records. Arguments are those of a filter's run.
 
         Args:
-            guess: states by name at all times, (k, *shape), to begin with; smoothed ones of a filter if left out.
+            guess: initial states by name at all times, (k, *shape); by default the smoothed ones of a filter.
         Raises:
             InputError, ShapeError, EstimationError: what the run of a filter raises; a guess that does not fit;
                 iterations that do not converge, unless traced.

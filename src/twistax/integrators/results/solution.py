@@ -136,7 +136,7 @@ class AnySolution(ABC):
         Args:
             path: the file; an existing file is overwritten.
             layout: the columns: `tx.columns.Columns(units={"h": "m"}, rotations=tx.columns.EULER)`, or a
-                `tx.columns.Layout` of your own. By default time, states, controls and outputs, rotations as
+                custom `tx.columns.Layout`. By default time, states, controls and outputs, rotations as
                 quaternions.
         Raises:
             InputError: a batch, or a traced solution; a unit of an unknown name; a path that cannot be written.

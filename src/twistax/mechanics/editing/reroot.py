@@ -1,4 +1,4 @@
-"""A tree hung up by another of its links: the joints between that link and the old root turn round.
+"""A tree with another link as root: the joints between the new and the old root are reversed.
 
 A joint with the mount M has its child at M J(q) in its parent. So the parent is at $J(q)^-1 M^-1$ in the child: the
 reversed joint comes first, and the old mount after it, inverted.
@@ -71,7 +71,7 @@ def _turned(child: Link, parent: Link, names: set[str], joints: set[str]) -> Ite
     """The links that carry the old parent on the old child."""
     if child.joint.group is not None and (special := _special(child.drive)):
         raise ModelError(
-            f"Mechanism.rerooted: joint {child.joint.name!r} would turn round, and its drive has {listed(special)}, "
+            f"Mechanism.rerooted: joint {child.joint.name!r} would be reversed, and its drive has {listed(special)}, "
             "which hold in the axes of its child.\n  fix: replace(drives={...: Drive()}) before"
         )
     carried: dict[str, Any] = {"body": parent.body, "name": parent.name, "shapes": parent.shapes}

@@ -263,7 +263,7 @@ def _loop(constants: Constants, eqn: Any, backend: Backend) -> Part:
     except Unread as error:
         say_unread(error)
         return Part(
-            inputs, eqn.outvars, lambda *values: as_it_is(*joined(values)), [Reason(f"{name}, as JAX has it", False)]
+            inputs, eqn.outvars, lambda *values: as_it_is(*joined(values)), [Reason(f"{name}, executed by JAX", False)]
         )
     is_inside = operands.is_known[: ring.fixed]
     inner = dataclasses.replace(ring, fixed=is_inside.count(False))
@@ -302,7 +302,7 @@ def _loop(constants: Constants, eqn: Any, backend: Backend) -> Part:
     if ring.length is None:
         ends_together = closed(eqn.params["cond_jaxpr"]).jaxpr.outvars[0].aval.size == 1
         opens = around and ends_together
-        run, reasons = _while_around(eqn, backend) if opens else (as_it_is, [Reason(f"{name}, as JAX has it", small)])
+        run, reasons = _while_around(eqn, backend) if opens else (as_it_is, [Reason(f"{name}, executed by JAX", small)])
         return Part(inputs, eqn.outvars, lambda *values: small_call(run, *joined(values)), reasons)
     body, reasons = emit_segments(inside, backend if around else backend.in_loops())
     run = functools.partial(_scanned, body, inner)

@@ -208,4 +208,4 @@ def entry_of(eqn: Any) -> Entry | None:
 
 def say_unread(error: Unread) -> None:
     """Log once that an operation stays a call of JAX."""
-    say_once(f"{error}, which this twistax does not know: that operation runs as JAX has it")
+    say_once(f"{error}, which this twistax does not know: JAX executes this operation")
