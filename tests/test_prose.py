@@ -95,7 +95,7 @@ REFUSED_FIRST = {
     r"\bno words for\b": "cannot express",
     r"\bgain(s|ed)? nothing\b|\bnothing is gained\b": "gives no speed-up",
     r"\bturns? (round|anew)\b": "is reversed",
-    r"(?<!there )\b(is|are) no (pose|rotation|parameter|state|output|element|model|list|name|number|text)\b": "is not a",
+    r"(?<!there )\b(is|are) no (pose|rotation|parameter|state|output|element|model|list|name)\b": "is not a",
     r"\ball told\b": "in total",
     r"\b(puts?|brings?) back\b": "projects, restores",
     r"\bran out\b": "reached the limit",
