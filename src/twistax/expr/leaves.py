@@ -197,7 +197,7 @@ class State(Variable):
     Args:
         name: unique among the states of a system.
         shape: shape of the value; () by default. A group has its own.
-        group: `tx.SO3`, `tx.SE3` or a group of your own; None for $R^m$.
+        group: `tx.SO3`, `tx.SE3` or a custom group; None for $R^m$.
         order: order of the twists of a pose; `tx.LINEAR_FIRST` by default.
         min, max: bounds, Euclidean states only.
         initial, final: boundary values; None (or a None entry) is free.

@@ -59,7 +59,7 @@ def pose(owner: str, name: str, value: ExprLike) -> Expr:
     """A pose (4, 4), rotation and position [R p; 0 1]; numbers are checked to be one.
 
     Raises:
-        ModelError: neither an expression nor numbers, or numbers that are no pose.
+        ModelError: neither an expression nor numbers, or numbers that are not a pose.
         ShapeError: another shape.
     """
     T = of_shape(owner, name, value, (4, 4))

@@ -137,7 +137,7 @@ class Mechanism(KinematicTree):
                 motion.
         Raises:
             ModelError: a frame that is not known; names that both have (see `renamed`); different loop metrics; numbers
-                that are no pose.
+                that are not a pose.
             ShapeError: pose is not of shape (4, 4).
 
         Example:

@@ -55,7 +55,7 @@ def refuse_other_group(owner: str, operand: str, element: Expr) -> None:
     if isinstance(element, State) and not (element.group.flat or element.group.rigid):
         raise ModelError(
             f"{owner} expects {operand} to be a rotation or a pose, state {element!r} is on {element.group.name}.\n"
-            "  fix: write it with the entries of the state, or as a node of your own"
+            "  fix: write it with the entries of the state, or as a custom node"
         )
 
 

@@ -66,7 +66,7 @@ def signed_distance(a: Solid, b: Solid, T_a: ExprLike | None = None, T_b: ExprLi
             of the deepest point of the capsule's axis.
         T_a, T_b: poses (4, 4) of the bodies in one frame, such as `arm.pose("hand")`; the identity by default.
     Raises:
-        ModelError: another shape; two half-spaces; numbers that are no pose.
+        ModelError: another shape; two half-spaces; numbers that are not a pose.
         ShapeError: a pose of another shape.
 
     Example:
