@@ -63,7 +63,7 @@ class MaximumLikelihood:
         segments: of each record; at most 12 if left out, with eight rows or two for each entry of the state.
         max_iterations: steps at most.
     Raises:
-        ModelError: what `ErrorStateKalman` refuses; free or priors of a name that is not a parameter, or was baked; no free one.
+        ModelError: those of `ErrorStateKalman`; free or priors of an unknown or baked parameter; no free one.
         ShapeError, InputError: limits and priors of other shapes, or not positive definite.
 
     Example: `MaximumLikelihood(dynamics, [angle], free=["length"]).run(Experiment({"angle": (ts, qs)}, x0))`.
