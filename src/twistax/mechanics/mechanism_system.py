@@ -64,8 +64,8 @@ def system_of(
     twice = [state.name for state in motion if state.name in further]
     if twice:
         raise ModelError(
-            f"system expects rates of further states, got {listed(twice)}, the motion of the mechanism itself.\n"
-            "  fix: put what acts on it into forces or wrenches"
+            f"system expects rates of further states, got {listed(twice)}, which have rates already.\n"
+            "  fix: add forces to forces= or wrenches="
         )
     return System(
         rates={**motion, **(rates or {})},

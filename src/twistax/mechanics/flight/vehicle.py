@@ -198,8 +198,8 @@ class Vehicle:
         motion_states = [name for name in (getattr(state, "name", state) for state in motion) if name in named]
         if motion_states:
             raise ModelError(
-                f"Vehicle.system expects rates of further states, got {listed(motion_states)}, the motion itself.\n"
-                "  fix: put what acts on the body into wrench, or write a System of vehicle.acceleration(body, wrench)"
+                f"Vehicle.system expects rates of further states, got {listed(motion_states)}, which have rates already.\n"
+                "  fix: add forces and torques to wrench, or write a System of vehicle.acceleration(body, wrench)"
             )
         ready = self.outputs()
         twice = [name for name in outputs or {} if name in ready]
