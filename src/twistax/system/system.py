@@ -337,7 +337,9 @@ def constraints_by_name(constraints: Asked | Iterable[Asked] | Mapping[str, Aske
         if isinstance(value, ConstraintSet):
             parts = {f"{name}: {part}": constraint for part, constraint in named.pop(name).named().items()}
             if taken := sorted(parts.keys() & named.keys()):
-                raise ModelError(f"constraints: {taken[0]!r} is a part of {name!r} and also the name of another constraint")
+                raise ModelError(
+                    f"constraints: {taken[0]!r} is a part of {name!r} and also the name of another constraint"
+                )
             named |= parts
     for name, constraint in named.items():
         refuse_conditions("a system", constraint)

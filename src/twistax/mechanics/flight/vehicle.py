@@ -198,7 +198,7 @@ class Vehicle:
         motion_states = [name for name in (getattr(state, "name", state) for state in motion) if name in named]
         if motion_states:
             raise ModelError(
-                f"Vehicle.system expects rates of further states, got {listed(motion_states)}, which have rates already.\n"
+                f"Vehicle.system expects rates of further states, got {listed(motion_states)}: they have rates.\n"
                 "  fix: add forces and torques to wrench, or write a System of vehicle.acceleration(body, wrench)"
             )
         ready = self.outputs()
