@@ -10,7 +10,7 @@ from twistax.estimation import ErrorStateKalman, InvariantKalman, Verdict
 
 jax.config.update("jax_enable_x64", True)
 
-RUNS, STEP, END, OUTAGE = 20, 0.1, 90.0, (40.0, 70.0)
+RUNS, STEP, END, OUTAGE = 40, 0.1, 90.0, (40.0, 70.0)
 DENSITIES = np.repeat([2e-4, 2e-3, 1e-5, 1e-4], 3)  # gyroscope, accelerometer, their drifts; SI units per sqrt(Hz)
 GPS, DOWN = 1.5, np.array([0.0, 0.0, 9.81])  # m; m/s2, axes north, east, down
 
