@@ -1,4 +1,4 @@
-"""Guidance of a Mars landing: the optimal descent is solved again at 5 Hz, under dispersions, for a Monte Carlo.
+"""Guidance of a Mars landing: the optimal descent is solved again at 10 Hz, under dispersions, for a Monte Carlo.
 
 Each flight starts elsewhere, with a stronger or weaker engine that its sensors tell, and winds that nothing tells.
 """
@@ -11,7 +11,7 @@ from matplotlib import pyplot as plt
 import twistax as tx
 
 jax.config.update("jax_enable_x64", True)
-PERIOD, STEPS, FLIGHTS, LAST = 0.2, 150, 8, 0.3  # s, at most, of the Monte Carlo, s before touchdown without guidance
+PERIOD, STEPS, FLIGHTS, LAST = 0.1, 300, 8, 0.3  # s, at most, of the Monte Carlo, s before touchdown without guidance
 
 p, v, m = tx.State("p", shape=(3,)), tx.State("v", shape=(3,)), tx.State("m")  # m, m/s, kg
 thrust = tx.Control("thrust", shape=(3,))  # N
