@@ -96,9 +96,8 @@ REFUSED_FIRST = {
     r"\bno words for\b": "cannot express",
     r"\bgain(s|ed)? nothing\b|\bnothing is gained\b": "gives no speed-up",
     r"\bturns? (round|anew)\b": "is reversed",
-    r"(?<!there )\b(is|are) no (pose|rotation|parameter|state|output|element|model|tuple|list|name|number|scalar|text)\b": (
-        "is not a"
-    ),
+    r"(?<!there )\b(is|are) no "
+    r"(pose|rotation|parameter|state|output|element|model|tuple|list|name|number|scalar|text)\b": "is not a",
     r"\ball told\b": "in total",
     r"\b(puts?|brings?) back\b": "projects, restores",
     r"\bran out\b": "reached the limit",
