@@ -1,6 +1,7 @@
 """Prose in the vocabulary of the field: phrases that readers did not understand are refused."""
 
 import ast
+import functools
 import inspect
 import re
 from pathlib import Path
@@ -110,12 +111,18 @@ def messages(path: Path) -> list[str]:
     return [part.value for part in parts if isinstance(part.value, str)]
 
 
+@functools.cache
+def spoken(path: Path) -> str:
+    """The lines of a file without code in backticks."""
+    return "\n".join(re.sub(r"`[^`]*`", "", line) for line in path.read_text().splitlines())
+
+
 def lines_with(phrase: str, paths: list[Path]) -> list[str]:
     """The places of a phrase outside of code in backticks, without regard to case."""
-    found = []
+    refused, found = re.compile(phrase, re.IGNORECASE), []
     for path in paths:
-        for number, line in enumerate(path.read_text().splitlines(), 1):
-            if re.search(phrase, re.sub(r"`[^`]*`", "", line), re.IGNORECASE):
+        for number, line in enumerate(spoken(path).split("\n"), 1):
+            if refused.search(line):
                 found.append(f"{path.relative_to(ROOT)}:{number}: {line.strip()[:90]}")
     return found
 

@@ -61,6 +61,7 @@ def written() -> dict[str, str]:
 
 
 def _executed() -> dict[str, Snippet]:
+    execution.execute(programs())
     found = {}
     for file in sorted(FOLDER.glob("*.py")):
         for (names, code), output in zip(_blocks(file), execution.executed(program_of(file))[1:], strict=True):
