@@ -24,14 +24,14 @@ _LENGTH_ON_DEVICE, _LONG_ON_DEVICE = 2000, 20_000
 STACK = 32_768
 
 #: Entries of a result that are written together, by its number and their first entry.
-Block: TypeAlias = tuple[int, int]
+ResultBlock: TypeAlias = tuple[int, int]
 
 
-class Step(NamedTuple):
+class PieceStep(NamedTuple):
     """Nodes, and the blocks that are complete with them."""
 
     nodes: list[int]
-    complete: list[Block]
+    complete: list[ResultBlock]
 
 
 def in_pieces(program: ScalarProgram, processor: Processor) -> bool:
@@ -53,7 +53,11 @@ class Scratch:
     """
 
     def __init__(
-        self, program: ScalarProgram, processor: Processor, first: Sequence[int], blocks: Mapping[Block, Sequence[int]]
+        self,
+        program: ScalarProgram,
+        processor: Processor,
+        first: Sequence[int],
+        blocks: Mapping[ResultBlock, Sequence[int]],
     ) -> None:
         g = self.graph = program.graph
         length = _LENGTH_ON_DEVICE if processor.triple else _LENGTH
@@ -64,8 +68,8 @@ class Scratch:
         place = {i: number for number, part in enumerate(parts) for i in part}
         outputs = [flat(nodes) for nodes in program.outputs]
         self._blocks = {block: [outputs[block[0]][entry] for entry in entries] for block, entries in blocks.items()}
-        at_once: list[Block] = []
-        complete: dict[int, list[Block]] = {}
+        at_once: list[ResultBlock] = []
+        complete: dict[int, list[ResultBlock]] = {}
         last: dict[int, int] = {}
         for i, number in place.items():
             for a in g.arguments(i):
@@ -75,7 +79,7 @@ class Scratch:
             (complete.setdefault(latest, []) if number else at_once).append(block)
             for i in nodes:
                 last[i] = max(last.get(i, 0), number)
-        self.pieces = [[Step(parts[0], at_once)], *(_steps(part, complete) for part in parts[1:])]
+        self.pieces = [[PieceStep(parts[0], at_once)], *(_steps(part, complete) for part in parts[1:])]
         self.slots: dict[int, int] = {}
         self._size = self._further = 0
         free: list[int] = []
@@ -90,7 +94,7 @@ class Scratch:
                     self.slots[i] = free.pop()
                     ending.setdefault(last[i], []).append(self.slots[i])
 
-    def entries(self, block: Block) -> list[int]:
+    def entries(self, block: ResultBlock) -> list[int]:
         """The nodes of a block."""
         return self._blocks[block]
 
@@ -116,14 +120,14 @@ class Scratch:
             code.call("void", "free", ("ptr", memory))
 
 
-def _steps(nodes: Sequence[int], complete: Mapping[int, list[Block]]) -> list[Step]:
+def _steps(nodes: Sequence[int], complete: Mapping[int, list[ResultBlock]]) -> list[PieceStep]:
     """The nodes of a piece, divided where blocks are complete."""
-    steps = [Step([], [])]
+    steps = [PieceStep([], [])]
     for i in nodes:
         steps[-1].nodes.append(i)
         if i in complete:
             steps[-1].complete.extend(complete[i])
-            steps.append(Step([], []))
+            steps.append(PieceStep([], []))
     return steps
 
 
@@ -138,7 +142,7 @@ class PieceValues(dict[int, str]):
         most: values that are held at a time; None: all are, in a piece that is computed in another order.
     """
 
-    def __init__(self, code: Code, scratch: Scratch, steps: Sequence[Step], most: int | None) -> None:
+    def __init__(self, code: Code, scratch: Scratch, steps: Sequence[PieceStep], most: int | None) -> None:
         super().__init__()
         self._code, self._scratch, self._graph, self._most = code, scratch, scratch.graph, most
         reads: list[Sequence[int]] = []
