@@ -14,7 +14,7 @@ pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 from native_programs import at_every_width
 
 from twistax.scalar.reader import scalarize
-from twistax.scalar.targets.llvm import kernel_body, machine_code, pieces
+from twistax.scalar.targets.llvm import machine_code, pieces
 from twistax.scalar.targets.llvm.kernel import HostKernel
 from twistax.scalar.targets.llvm.kernel_body import Straight, native_form
 from twistax.scalar.targets.llvm.machine_code import Processor, compiled
@@ -35,9 +35,11 @@ def test_pieces_give_what_the_whole_gives(processor: Processor, dtype: Any, monk
     form, rng = native_form(scalarize(mixed, *shapes)), np.random.default_rng(0)
     rows = [rng.normal(size=(11, 7)).astype(dtype), rng.integers(-5, 5, (11, 7)).astype(np.int32)]
     found, lanes = [], processor.lanes(form.graph.dtype)
-    for length, stack in ((10**9, 0), (9, 10**9), (40, 0)):  # what passes on stands on the stack, or elsewhere
+    # What passes on stands on the stack, or elsewhere; few values are held, or many.
+    for length, stack, held in ((10**9, 0, 24), (9, 10**9, 12), (40, 0, 24), (40, 0, 2), (10**6, 0, 5)):
         monkeypatch.setattr(pieces, "STACK", stack)
-        monkeypatch.setattr(kernel_body, "LONG", length)
+        monkeypatch.setattr(Processor, "held", held)
+        monkeypatch.setattr(pieces, "_LONG", length if length > 10**6 else 9)
         monkeypatch.setattr(pieces, "_LENGTH", length)
         kernel = HostKernel(Straight(form, lanes), processor)
         found.append(kernel.run([rows[k] for k in kernel.body.read]))
@@ -51,7 +53,7 @@ def test_llvm_has_a_few_pieces_in_memory_at_a_time(monkeypatch: pytest.MonkeyPat
     import llvmlite.binding as llvm
 
     parse, lengths = llvm.parse_assembly, list[int]()
-    monkeypatch.setattr(kernel_body, "LONG", 9)
+    monkeypatch.setattr(pieces, "_LONG", 9)
     monkeypatch.setattr(pieces, "_LENGTH", 9)
     monkeypatch.setattr(llvm, "parse_assembly", lambda text, *more: (lengths.append(len(text)), parse(text, *more))[1])
     shapes = [jax.ShapeDtypeStruct((7,), np.float64), jax.ShapeDtypeStruct((7,), np.int32)]

@@ -35,7 +35,7 @@ _SUFFIXES = {"double": "f64", "float": "f32"}
 
 
 #: Pieces that are compiled together. Each group has memory of its own, and a process has only so many maps of memory.
-_TOGETHER = 8
+_TOGETHER = 4
 
 
 class Module:

@@ -18,7 +18,7 @@ from ...program import ScalarProgram, called_names
 from ...reader import emitted_form
 from .code import NAMES, Code, Module, NotNative
 from .lanes import Array, Rows
-from .pieces import LONG, PieceValues, Scratch
+from .pieces import PieceValues, Scratch, in_pieces
 from .trigonometry import sines_and_cosines
 
 #: Kernels call no library: more is unrolled than for XLA.
@@ -93,13 +93,12 @@ class Scalars:
         self._in_order(live)
         return [values[i] for i in nodes]
 
-    def in_piece(self, nodes: Sequence[int], values: PieceValues) -> PieceValues:
+    def in_piece(self, nodes: Sequence[int], values: PieceValues) -> None:
         """The values of nodes, given those of all nodes before; sines and cosines stand in the first piece."""
         self._values = values
         if any(self._graph.operation(i) in _TURNING for i in nodes):
             self.compute(nodes)
         self._in_order(nodes)
-        return values
 
     def value(self, node: int) -> str:
         """The value of a node that is computed, a number, or an entry of an argument."""
@@ -242,7 +241,7 @@ class Straight(KernelBody):
         self.chunk = max(1, self._CHUNK // (max(program.operations, 1) * lanes)) * lanes
 
     def body(self, code: Code, rows: Mapping[str, Rows]) -> None:
-        pieces = self.program.operations >= LONG
+        pieces = in_pieces(self.program, code.module.processor)
         code.module.long = pieces or sum(array.size for array in self.results) > _MANY
         if pieces:
             self._in_pieces(code, rows)
@@ -256,20 +255,24 @@ class Straight(KernelBody):
         """Write the program as several functions, called in turn."""
         program, module, g = self.program, code.module, self.program.graph
         blocks = {(k, start): piece for k in self.written for start, piece in rows[f"r{k}"].blocks().items()}
-        scratch = Scratch(program, [i for i in program.live if g.operation(i) in _TURNING], blocks)
-        memory, outputs = scratch.allocated(code), [flat(nodes) for nodes in program.outputs]
-        for number, (nodes, complete) in enumerate(scratch.pieces):
+        turning = [i for i in program.live if g.operation(i) in _TURNING]
+        scratch = Scratch(program, module.processor, turning, blocks)
+        for number, steps in enumerate(scratch.pieces):
             piece = Code(module, self.lanes)
             inner = self._moved(piece)
             scalars = Scalars(piece, program, functools.partial(_entry, inner))
-            values = scalars.in_piece(nodes, PieceValues(piece, scratch))
-            for k, start in complete:
-                values_of_block = [scalars.value(outputs[k][entry]) for entry in blocks[k, start]]
-                inner[f"r{k}"].write_block(start, values_of_block)
-            values.keep(nodes)
+            values = PieceValues(piece, scratch, steps, module.processor.held if number else None)
+            for nodes, complete in steps:
+                scalars.in_piece(nodes, values)
+                for k, start in complete:
+                    entries = scratch.entries((k, start))
+                    inner[f"r{k}"].write_block(start, list(map(scalars.value, entries)))
+                    values.used(entries)
             head = f"void @piece.{number}(ptr noalias %scratch, i64 %last{self._heads('ptr noalias')})"
             linkage = "internal " if module.processor.triple else ""
             module.pieces[f"piece.{number}"] = f"declare {head}", piece.function(linkage + head)
+        memory = scratch.allocated(code)
+        for number in range(len(scratch.pieces)):
             code.lines.append(f"call void @piece.{number}(ptr {memory}, i64 %last{self._heads('ptr')})")
         scratch.freed(code, memory)
 

@@ -39,6 +39,12 @@ class Processor:
         """Whether functions of single precision are computed in it: in double they would take far longer."""
         return bool(self.triple)
 
+    @property
+    def held(self) -> int | None:
+        """How many values straight code holds at a time: three quarters of the registers; None: a device sees to it."""
+        few = not self.masks and (self.name in dict(_LEVELS.values()) or "+sse2" in self.features)
+        return None if self.triple else 12 if few else 24
+
     def lanes(self, dtype: np.dtype[Any]) -> int:
         """How many numbers of a floating-point type go into a vector."""
         return self.bits // (8 * dtype.itemsize)

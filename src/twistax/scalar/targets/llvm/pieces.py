@@ -1,25 +1,42 @@
-"""A long straight program as several functions: LLVM's time grows faster than the length of a function.
+"""A straight program as several functions, in which few values wait for their use.
 
-Values that later pieces need pass through memory, where most would be anyway: there are few registers.
+LLVM takes most of its time to choose which values of a long function pass through memory, for there are few registers.
+Here that is decided before: LLVM then takes a third of the time, and its code runs faster.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple, TypeAlias
 
 from ...primitives.interface import flat
 from ...program import ScalarProgram
 from .code import NAMES, Code
+from .machine_code import Processor
 
-#: Operations in a piece. Half as many compile slightly faster, and run at least a tenth slower.
-_LENGTH = 2000
-#: Programs of fewer operations are not split: they run a tenth faster.
-LONG = 20_000
+#: Operations in a piece. Of functions with more the memory that LLVM takes grows.
+_LENGTH = 4000
+#: Programs of fewer operations are one function, and left to LLVM.
+_LONG = 3000
+#: The same for devices, whose compilers put one function together again.
+_LENGTH_ON_DEVICE, _LONG_ON_DEVICE = 2000, 20_000
 #: The most bytes on the stack; more are allocated.
 STACK = 32_768
 
-#: A piece of a program: its nodes, and of each result the blocks, by their first entries, that are complete with it.
-Piece = tuple[list[int], list[tuple[int, int]]]
+#: Entries of a result that are written together, by its number and their first entry.
+ResultBlock: TypeAlias = tuple[int, int]
+
+
+class PieceStep(NamedTuple):
+    """Nodes, and the blocks that are complete with them."""
+
+    nodes: list[int]
+    complete: list[ResultBlock]
+
+
+def in_pieces(program: ScalarProgram, processor: Processor) -> bool:
+    """Whether a program is written in pieces."""
+    return program.operations >= (_LONG_ON_DEVICE if processor.triple else _LONG)
 
 
 class Scratch:
@@ -29,30 +46,42 @@ class Scratch:
         program: in the order in which it is computed.
         first: nodes of the first piece, with all that they need.
         blocks: of each result, entries that are written together: (number of the result, first entry) -> entries.
+
+    Attributes:
+        pieces: what is computed and written, in order.
+        slots: by node, its place in memory; places are reused.
     """
 
-    def __init__(self, program: ScalarProgram, first: Sequence[int], blocks: dict[tuple[int, int], list[int]]) -> None:
-        g = self._graph = program.graph
+    def __init__(
+        self,
+        program: ScalarProgram,
+        processor: Processor,
+        first: Sequence[int],
+        blocks: Mapping[ResultBlock, Sequence[int]],
+    ) -> None:
+        g = self.graph = program.graph
+        length = _LENGTH_ON_DEVICE if processor.triple else _LENGTH
         begun = set(g.live(first))
         parts = [[i for i in program.live if i in begun]]
         rest = [i for i in program.live if i not in begun and g.operation(i) is not None]
-        parts += [rest[k : k + _LENGTH] for k in range(0, len(rest), _LENGTH)]
+        parts += [rest[k : k + length] for k in range(0, len(rest), length)]
         place = {i: number for number, part in enumerate(parts) for i in part}
         outputs = [flat(nodes) for nodes in program.outputs]
-        self.pieces: list[Piece] = [(part, []) for part in parts]
+        self._blocks = {block: [outputs[block[0]][entry] for entry in entries] for block, entries in blocks.items()}
+        at_once: list[ResultBlock] = []
+        complete: dict[int, list[ResultBlock]] = {}
         last: dict[int, int] = {}
         for i, number in place.items():
             for a in g.arguments(i):
                 last[a] = max(last.get(a, 0), number)
-        for (result, start), entries in blocks.items():
-            nodes = [outputs[result][entry] for entry in entries]
-            number = max(place.get(i, 0) for i in nodes)
-            self.pieces[number][1].append((result, start))
+        for block, nodes in self._blocks.items():
+            number, latest = max((place.get(i, 0), i) for i in nodes)
+            (complete.setdefault(latest, []) if number else at_once).append(block)
             for i in nodes:
                 last[i] = max(last.get(i, 0), number)
-        #: By node, its place in memory; places are reused.
+        self.pieces = [[PieceStep(parts[0], at_once)], *(_steps(part, complete) for part in parts[1:])]
         self.slots: dict[int, int] = {}
-        self.size = 0
+        self._size = self._further = 0
         free: list[int] = []
         ending: dict[int, list[int]] = {}
         for number, part in enumerate(parts):
@@ -60,18 +89,22 @@ class Scratch:
             for i in part:
                 if g.operation(i) is not None and last.get(i, 0) > number:
                     if not free:
-                        free.append(self.size)
-                        self.size += 1
+                        free.append(self._size)
+                        self._size += 1
                     self.slots[i] = free.pop()
                     ending.setdefault(last[i], []).append(self.slots[i])
 
-    def at(self, code: Code, node: int) -> tuple[str, str]:
-        """The type of a node's vector, and its address."""
-        place = code.emit(f"getelementptr i8, ptr %scratch, i64 {8 * code.lanes * self.slots[node]}")
-        return code.vector(NAMES[self._graph.dtypes[node]]), place
+    def entries(self, block: ResultBlock) -> list[int]:
+        """The nodes of a block."""
+        return self._blocks[block]
+
+    def further(self, number: int) -> int:
+        """The place of a value of one piece alone, beyond those of values that pass from piece to piece."""
+        self._further = max(self._further, number + 1)
+        return self._size + number
 
     def bytes(self, lanes: int) -> int:
-        return 8 * lanes * self.size
+        return 8 * lanes * (self._size + self._further)
 
     def allocated(self, code: Code) -> str:
         """The memory of all places: on the stack where there is little. Stacks of threads may be small."""
@@ -87,21 +120,95 @@ class Scratch:
             code.call("void", "free", ("ptr", memory))
 
 
-class PieceValues(dict[int, str]):
-    """The values of nodes in one piece; those of earlier pieces are loaded where they are first needed."""
+def _steps(nodes: Sequence[int], complete: Mapping[int, list[ResultBlock]]) -> list[PieceStep]:
+    """The nodes of a piece, divided where blocks are complete."""
+    steps = [PieceStep([], [])]
+    for i in nodes:
+        steps[-1].nodes.append(i)
+        if i in complete:
+            steps[-1].complete.extend(complete[i])
+            steps.append(PieceStep([], []))
+    return steps
 
-    def __init__(self, code: Code, scratch: Scratch) -> None:
+
+class PieceValues(dict[int, str]):
+    """The values of nodes in one piece.
+
+    Values of earlier pieces are loaded where they are needed. Of more than there are registers, the one whose next use
+    is farthest goes to memory, and is loaded for that use: no other choice needs fewer loads (L. Belady 1966).
+
+    Args:
+        steps: those of the piece.
+        most: values that are held at a time; None: all are, in a piece that is computed in another order.
+    """
+
+    def __init__(self, code: Code, scratch: Scratch, steps: Sequence[PieceStep], most: int | None) -> None:
         super().__init__()
-        self._code, self._scratch = code, scratch
+        self._code, self._scratch, self._graph, self._most = code, scratch, scratch.graph, most
+        reads: list[Sequence[int]] = []
+        for nodes, complete in steps:
+            reads += map(self._graph.arguments, nodes)
+            reads += map(scratch.entries, complete)
+        #: By node, when it is read, the next time at the end.
+        self._uses: dict[int, list[int]] = {}
+        for time in range(len(reads) - 1, -1, -1):
+            for i in set(reads[time]):
+                self._uses.setdefault(i, []).append(time)
+        #: Values that are held, and when they are read next.
+        self._held: dict[int, int] = {}
+        #: Places of values of this piece alone, and those that are free again.
+        self._local: dict[int, int] = {}
+        self._free: list[int] = []
+        self._addresses: dict[int, str] = {}
 
     def __missing__(self, node: int) -> str:
-        kind, place = self._scratch.at(self._code, node)
-        self[node] = value = self._code.emit(f"load {kind}, ptr {place}, align 8")
+        kind, address = self._at(node)
+        value = self._code.emit(f"load {kind}, ptr {address}, align 8")
+        super().__setitem__(node, value)
+        self._hold(node)
         return value
 
-    def keep(self, nodes: Sequence[int]) -> None:
-        """Store the values that later pieces need."""
-        for i in nodes:
-            if i in self._scratch.slots:
-                kind, place = self._scratch.at(self._code, i)
-                self._code.lines.append(f"store {kind} {self[i]}, ptr {place}, align 8")
+    def __setitem__(self, node: int, value: str) -> None:
+        super().__setitem__(node, value)
+        if self._graph.operation(node) is not None:
+            if node in self._scratch.slots:
+                self._store(node)
+            self.used(self._graph.arguments(node))
+            self._hold(node)
+
+    def used(self, nodes: Sequence[int]) -> None:
+        """Nodes were read; the values that are not read again are forgotten."""
+        if self._most is not None:
+            for i in set(nodes):
+                self._uses[i].pop()
+                if self._held.pop(i, None) is not None:
+                    self._hold(i)
+
+    def _hold(self, node: int) -> None:
+        if self._most is None:
+            return
+        if not self._uses.get(node):
+            del self[node]
+            if node in self._local:
+                self._free.append(self._local.pop(node))
+            return
+        self._held[node] = self._uses[node][-1]
+        if len(self._held) > self._most:
+            farthest = max(self._held, key=self._held.__getitem__)
+            del self._held[farthest]
+            if farthest not in self._scratch.slots and farthest not in self._local:
+                self._local[farthest] = self._free.pop() if self._free else self._scratch.further(len(self._local))
+                self._store(farthest)
+            del self[farthest]
+
+    def _store(self, node: int) -> None:
+        kind, address = self._at(node)
+        self._code.lines.append(f"store {kind} {self[node]}, ptr {address}, align 8")
+
+    def _at(self, node: int) -> tuple[str, str]:
+        """The type of a node's vector, and its address."""
+        slot = self._local[node] if node in self._local else self._scratch.slots[node]
+        if slot not in self._addresses:
+            offset = 8 * self._code.lanes * slot
+            self._addresses[slot] = self._code.emit(f"getelementptr i8, ptr %scratch, i64 {offset}")
+        return self._code.vector(NAMES[self._graph.dtypes[node]]), self._addresses[slot]
