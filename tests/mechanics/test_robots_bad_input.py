@@ -8,14 +8,20 @@ import pytest
 import twistax as tx
 from twistax import mechanics
 from twistax.errors import InputError, ModelError
-from twistax.mechanics import Drive, Link, SpatialInertia, identify, joints, reach
+from twistax.mechanics import Drive, Link, PositionTask, PostureTask, SpatialInertia, identify, joints, reach
 
 BODY = SpatialInertia(mass=1.0, center_of_mass=(0.1, 0.0, 0.2), inertia=0.1 * np.eye(3))
-ARM = mechanics.Chain(
-    [Link(joints.Revolute(n, (0.0, 1.0, 0.0)), BODY, tx.pose(position=[0.0, 0.0, 0.3])) for n in ("a", "b")]
+ARM, PLANAR = (
+    mechanics.Chain([Link(joints.Revolute(n, (0.0, 1.0, 0.0)), BODY, tx.pose(position=[0.0, 0.0, 0.3])) for n in names])
+    for names in ("ab", "abc")
 )
+X = {"q": np.zeros(2)}
 POINT = SpatialInertia(mass=1.0, center_of_mass=(0.0, 0.3, 0.0), inertia=np.zeros((3, 3)))
 TARGET = np.array([0.1, 0.0, 0.5])
+
+
+def controller(*tasks: mechanics.Task) -> mechanics.DifferentialController:
+    return mechanics.DifferentialController(ARM, tasks, dt=0.01, acceleration=5.0)
 
 
 def records(**changes: Any) -> dict[str, Any]:
@@ -48,6 +54,31 @@ def records(**changes: Any) -> dict[str, Any]:
         (lambda: reach(ARM, {"b": 1j * TARGET}), InputError, "real numbers"),
         (lambda: reach(ARM, {"b": TARGET}, start={"q": "ab"}), InputError, "real numbers"),
         (lambda: reach(ARM, {"b": TARGET}, start={"q": [0.0, np.nan]}), InputError, "finite numbers for 'q'"),
+        (lambda: reach(ARM, {"b": TARGET}, secondary=[PostureTask([np.nan, 0.0])]), ModelError, "target to be finite"),
+        (lambda: reach(ARM, {"b": TARGET}, constraints={"k": ARM.q[0] <= np.nan}), ModelError, "'k' is never finite"),
+        (
+            lambda: controller(PositionTask("b", TARGET), PositionTask("b", 2.0 * TARGET)),
+            ModelError,
+            "two tasks have a target 'b_position' with other numbers",
+        ),
+        (lambda: controller(mechanics.ManipulabilityTask("b")), ModelError, r"\(3, 2\) is singular everywhere"),
+        (
+            lambda: mechanics.DifferentialController(PLANAR, [mechanics.ManipulabilityTask("c")], dt=0.01),
+            ModelError,
+            "of 'c' is singular everywhere",
+        ),
+        (lambda: controller(PostureTask([0.0, 0.0]))(X, qd=[1.0]), InputError, r"expects qd \(2,\), got \(1,\)"),
+        (
+            lambda: controller(PostureTask([0.0, 0.0]))(X, qd=[0.0, 0.0], warm=3),
+            InputError,
+            "warm expects the step before",
+        ),
+        (lambda: controller(PostureTask([0.0, 0.0])).replace(gain=1.0), InputError, "replace takes 'dt', .*got 'gain'"),
+        (
+            lambda: mechanics.computed_torque(ARM, TARGET[:2], TARGET[:2], stiffness=-1.0, damping=1.0),
+            ModelError,
+            "stiffness of 0 or more",
+        ),
         (lambda: mechanics.base_parameters(ARM, drives=3), ModelError, "drives expects names"),
         (lambda: mechanics.identifiable_combinations(np.eye(1), None), ModelError, "names expects names"),
         (lambda: mechanics.physical_inertia(np.full(10, np.nan)), ModelError, "finite parameters"),
@@ -69,6 +100,22 @@ def test_half_precision_targets_and_indices_of_results(unchecked: None) -> None:
     assert result.x["q"].dtype == np.float32
     with pytest.raises(InputError, match=r"index into \(\), got \(3,\)"):
         result.stopped_by(3)
+
+
+def test_a_target_on_the_base_is_reached_with_positions_that_are_numbers() -> None:
+    result = reach(ARM, {"base": np.zeros(3)}, seeds=1)
+    assert result.status == mechanics.ReachStatus.REACHED
+    assert np.isfinite(result.x["q"]).all()
+
+
+def test_links_beside_one_with_the_name_of_the_base_are_on_the_ground() -> None:
+    places = {"base": 1.0, "table": 3.0}
+    links = [
+        Link(joints.Revolute(n, (0.0, 1.0, 0.0)), BODY, tx.pose(position=[x, 0.0, 0.0])) for n, x in places.items()
+    ]
+    for name, x in places.items():
+        pose = tx.lower(mechanics.Mechanism(links).pose(name))(0.0, {"q": np.zeros(2)})
+        assert pose[0, 3] == x
 
 
 def test_a_name_twice_is_one() -> None:

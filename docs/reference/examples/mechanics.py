@@ -144,6 +144,18 @@ corners, triangles = tx.view.Box((0.1, 0.15, 0.4)).mesh()
 capsule = fitted_capsule(tx.view.Mesh((corners, triangles)))
 capsule.radius, [ball.radius for ball in fitted_spheres(corners, 3)]
 
+# tx.mechanics.soft_distance
+from twistax.mechanics import chain_models, signed_distance, soft_distance
+
+arm, hand, shelf = chain_models.panda(), tx.view.Box((0.1, 0.2, 0.1)), tx.view.Box((0.4, 1.0, 0.02), at=(0.6, 0.0, 0.4))
+pairs = [signed_distance(hand, shelf, arm.pose("joint7")), soft_distance(hand, shelf, 0.002, arm.pose("joint7"))]
+[tx.lower(distance)(0.0, {"q": np.zeros(7)}) for distance in pairs]  # m, the second one less by at most 4.2 x 0.002
+
+# tx.mechanics.fourier_motion
+from twistax.mechanics import fourier_motion
+
+fourier_motion([[0.3, 1.0, 0.5, 0.0, -0.5]], 2.0, np.linspace(0.0, 2.0, 5))["q"]  # of one joint, two harmonics
+
 # tx.mechanics.ConvexPolytope tx.mechanics.DistanceGrid
 from twistax.mechanics import ConvexPolytope, DistanceGrid, HalfSpace, chain_models, signed_distance
 

@@ -110,6 +110,14 @@ controller.feedback({"x": 0.9, "v": -0.1})  # the controls of the first interval
 controller.shift()  # an interval of the plan has passed
 controller.feedback({"x": 0.885, "v": -0.2})
 
+# tx.trajectory.exciting_problem
+from twistax.mechanics import Chain, Drive, Link, SpatialInertia, joints
+
+rod = SpatialInertia(mass=2.0, center_of_mass=(0.2, 0.0, 0.0), inertia=0.05 * np.eye(3))
+hinge = Link(joints.Revolute("hinge", (0.0, 1.0, 0.0)), rod, np.eye(4), drive=Drive(speed=3.0, effort=10.0))
+exciting = tx.trajectory.exciting_problem(Chain([hinge]), period=3.0, harmonics=2)
+exciting.params["coefficients"]  # of the guess; exciting.solve(max_iterations=100) finds better ones
+
 # tx.trajectory.ControllerLog tx.trajectory.StepRecord
 log = controller.log
 len(log), log.iterations, log[-1].status

@@ -32,10 +32,12 @@ from .distances.fitted import fitted_capsule, fitted_spheres
 from .distances.pairs import clearances, soft_minimum
 from .distances.polytope import ConvexPolytope
 from .distances.signed_distance import signed_distance
+from .distances.soft_distance import soft_distance
 from .distances.solids import HalfSpace
 from .distances.witness import WitnessPoints, witness_points
 from .drives import Drive
 from .identification.base_parameters import BaseParameters, base_parameters, identifiable_combinations
+from .identification.fourier_motion import fourier_motion
 from .identification.identification import Identification, IdentificationStatus
 from .identification.identify import identify
 from .identification.physical_inertia import log_cholesky, physical_inertia
@@ -62,11 +64,11 @@ __all__ = [
     "WitnessPoints", "aba", "base_parameters", "bias_forces", "center_of_mass", "centroidal_matrix",
     "centroidal_momentum", "chain_models", "clearances", "closed_dynamics", "computed_torque", "coriolis_forces",
     "environment", "fitted_capsule", "fitted_spheres", "flight", "forward_dynamics", "forward_dynamics_derivatives",
-    "frame_jacobian", "frame_jacobian_rate", "frame_twist", "given_forces", "gravity_forces",
+    "fourier_motion", "frame_jacobian", "frame_jacobian_rate", "frame_twist", "given_forces", "gravity_forces",
     "identifiable_combinations", "identify", "inverse_dynamics", "inverse_dynamics_derivatives",
     "inverse_dynamics_regressor", "joint_wrench", "joints", "kinetic_energy", "load", "load_daveml", "log_cholesky",
     "loop_diagnostics", "loop_gap", "loop_wrench", "loop_wrenches", "loops", "mass_matrix", "operational_space",
-    "physical_inertia", "potential_energy", "power", "reach", "rnea", "signed_distance", "soft_minimum",
-    "spatial_momentum", "total_mass", "witness_points",
+    "physical_inertia", "potential_energy", "power", "reach", "rnea", "signed_distance", "soft_distance",
+    "soft_minimum", "spatial_momentum", "total_mass", "witness_points",
 ]
 # fmt: on

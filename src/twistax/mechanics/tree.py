@@ -210,11 +210,12 @@ def segments_of(
 
     Raises: ModelError for a follower of something that does not move by itself with one freedom.
     """
-    frames = {base: Frame(-1, Constant(np.eye(4)))}
+    ground = Frame(-1, Constant(np.eye(4)))
+    frames = {base: ground}  # a link may have the name of the base
     moving: list[tuple[Link, int]] = []
     bodies: list[list[SpatialInertia]] = []
     for link in links:
-        at = frames[base if link.parent is None else link.parent]
+        at = ground if link.parent is None else frames[link.parent]
         mount = _folded(Compose(at.T, link.mount))
         if link.joint.dofs or link.joint.name in keep:
             frames[link.name] = Frame(len(moving), Constant(np.eye(4)))

@@ -6,6 +6,7 @@ from .adapters.solvers import IPOPT, Fatrop
 from .contact.contact import Contact, Friction
 from .controllers.controller import Controller
 from .controllers.log import ControllerLog, StepRecord
+from .exciting import exciting_problem
 from .hessians.options import GaussNewton, QuasiNewton
 from .problem.controls import Held, Linear, Rate, Spline
 from .problem.functionals import Initial, Integral, Maximum, Minimum
@@ -65,6 +66,7 @@ __all__ = [
     "TrajectoryResults",
     "WarmStart",
     "discretize",
+    "exciting_problem",
     "linearize",
     "solution",
 ]

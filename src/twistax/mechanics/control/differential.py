@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...checks import listed, number, reals
+from ...checks import instance, listed, number, reals
 from ...errors import InputError, ModelError
 from ...progress import watched
 from ...scalar.varying_entries import varying_entries
@@ -163,6 +163,8 @@ class DifferentialController:
         Raises: InputError; ModelError for other tasks.
         """
         owner, controller = "DifferentialController", copy.copy(self)
+        if unknown := sorted(set(changes) - set(self.settings.arguments)):
+            raise InputError(f"{owner}: replace takes {listed(self.settings.arguments)}, got {listed(unknown)}")
         if tasks is not None:
             controller.tasks = self.tasks.with_numbers(owner, tasks)
         if equalities is not None:
@@ -198,6 +200,9 @@ class DifferentialController:
         limited = self.settings.limits_acceleration
         if limited and qd is None:
             raise InputError("DifferentialController expects qd, the present velocities, for limits of acceleration")
+        if limited and np.shape(qd) != (self.mechanism.dofs,):
+            raise InputError(f"DifferentialController expects qd ({self.mechanism.dofs},), got {np.shape(qd)}")
+        instance("DifferentialController: warm", warm, DifferentialStep | None, "the step before", InputError)
         params = {leaf.name: targets.pop(leaf.name, leaf.value) for leaf in self.parameters}
         start = np.zeros(self.solver.start_size) if warm is None else warm.start
         arguments = (dict(x), targets, params, qd if limited else None, start, self.settings.arrays)

@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...errors import ShapeError
+from ...checks import reals, short
+from ...errors import ModelError, ShapeError
 from ...expr import Constant, Expr, InversePositive, SolvePositive, to_expr
 from ...expr.fields import ExprLike
 from ..algorithms.dynamics import checked, inverse_dynamics, mass_matrix
@@ -80,13 +81,19 @@ def computed_torque(
         error_rate: $e' = qd_d - qd$ (n,).
         stiffness, damping: $k_p$ in 1/s2 and $k_d$ in 1/s, numbers or (n,).
         acceleration: $qdd_d$ (n,); zero by default.
-    Raises: ShapeError for another shape; ModelError for a mechanism with loops.
+    Raises:
+        ShapeError: another shape.
+        ModelError: a mechanism with loops; a stiffness or damping that is negative or not finite.
 
     Example:
         `computed_torque(arm, q_d - arm.q, -arm.qd, stiffness=100.0, damping=20.0)`
     """
     owner, n = "computed_torque", checked("computed_torque", mechanism).dofs
     e, rate = (of_shape(owner, name, value, (n,)) for name, value in (("error", error), ("error_rate", error_rate)))
+    for name, value in (("stiffness", stiffness), ("damping", damping)):
+        numbers = np.zeros(()) if isinstance(value, Expr) else reals(f"{owner}: {name}", value, ModelError)
+        if numbers.shape not in ((), (n,)) or not (np.isfinite(numbers) & (numbers >= 0.0)).all():
+            raise ModelError(f"{owner} expects {name} of 0 or more and finite, () or ({n},), got {short(value)}")
     wanted = to_expr(damping) * rate + to_expr(stiffness) * e
     if acceleration is not None:
         wanted = wanted + of_shape(owner, "acceleration", acceleration, (n,))

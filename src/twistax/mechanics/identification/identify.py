@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...checks import instance, listed, name_list, number, reals
+from ...checks import instance, listed, number, reals
 from ...errors import InputError, ModelError
 from ...progress import watching
 from ..algorithms.dynamics import checked
@@ -18,7 +18,7 @@ from .determined import ZERO, LeastSquaresSolution, determined
 from .identification import Identification, correlation, status_of
 from .joint_records import LARGEST, JointRecords
 from .physical_fit import PhysicalFit
-from .regressor import BODY, DRIVE
+from .regressor import DRIVE
 from .stacked_regressor import StackedRegressor
 
 Array = NDArray[np.float64]
@@ -84,7 +84,7 @@ def identify(
     instance("identify: params", params, Mapping | None, "values by name", InputError)
     task = _Task(mechanism, records, links, drives, dict(params or {}), size)
     number("identify: tolerance", tolerance, "a positive number", lambda x: 0.0 < x < np.inf)
-    sigma = _noise(noise, mechanism.dofs)
+    sigma = noise_of("identify", noise, mechanism.dofs)
     if sigma is None:
         sigma = task.estimated_noise()
     solution = task.solution(sigma, tolerance)
@@ -128,8 +128,8 @@ class _Task:
         if unknown := sorted(set(params) - self.stacked.params):
             raise InputError(f"identify: params has {listed(unknown)}; it takes {listed(sorted(self.stacked.params))}")
         self.theta = self.stacked.values(params)
-        self.scales = self.stacked.scales(*self._size(size))
-        self.unknown = self._unknown(links, drives)
+        self.scales = self.stacked.scales(*self.stacked.typical("identify", self.theta, size))
+        self.unknown = self.stacked.unknown("identify", links, drives)
         names = tuple(np.array(self.stacked.names, dtype=object)[self.unknown])
         random = self.stacked.random_matrix(params)
         self.base: BaseParameters = identifiable_combinations(random[:, self.unknown], names)
@@ -139,42 +139,6 @@ class _Task:
         self.Y, self.samples, self.tau = Y[:, :, self.unknown], data.samples, data.tau
         if not np.any(data.tau):
             raise InputError("identify expects forces that are not all zero: without any the parameters have no scale")
-
-    def _size(self, size: Any) -> tuple[float, float]:
-        if size is None:
-            mass, length = self.stacked.size(self.theta)
-            if not mass:
-                raise ModelError(
-                    "identify: the mechanism has no masses off its joints, so the size of its parameters is unknown.\n"
-                    "  fix: size=(kg, m) of a typical body"
-                )
-            return mass, length
-        pair = reals("identify: size", size, InputError)
-        if pair.shape != (2,) or not (np.isfinite(pair).all() and (pair > 0.0).all()):
-            raise InputError(f"identify expects size as two positive numbers, kg and m, got {size!r}")
-        return float(pair[0]), float(pair[1])
-
-    def _unknown(self, links: Collection[str] | None, drives: Collection[str]) -> NDArray[np.bool_]:
-        """Which parameters are unknown. Raises ModelError."""
-        segments = self.mechanism.segments
-        if links is None:
-            chosen = {i for i, segment in enumerate(segments) if segment.body is not None}
-        else:
-            names = name_list("identify: links", links, ModelError)
-            chosen = {self.mechanism.frame(name).segment for name in names}
-            still = [name for name in names if self.mechanism.frame(name).segment < 0]
-            if still:
-                raise ModelError(f"identify: no joint force depends on {listed(still)}, which the base carries")
-        kinds = name_list("identify: drives", drives, ModelError)
-        for kind in kinds:
-            if kind not in DRIVE:
-                raise ModelError(f"identify expects drives among {listed(DRIVE, kind)}, got {kind!r}")
-        bodies = np.repeat([i in chosen for i in range(len(segments))], len(BODY))
-        joints = [name.rpartition(".")[2] in kinds for name in self.stacked.names[len(bodies) :]]
-        unknown = np.concatenate([bodies, joints]).astype(bool)
-        if not unknown.any():
-            raise ModelError("identify expects links or drives that are unknown, got none")
-        return unknown
 
     # ---- least squares -----------------------------------------------------------------------------------------------
 
@@ -240,11 +204,11 @@ class _Task:
         )
 
 
-def _noise(noise: Any, n: int) -> Array | None:
+def noise_of(owner: str, noise: Any, n: int) -> Array | None:
     """The standard deviation (n,) of the forces; None where it is not known. Raises InputError."""
     if noise is None:
         return None
-    sigma = reals("identify: noise", noise, InputError).astype(np.float64)
+    sigma = reals(f"{owner}: noise", noise, InputError).astype(np.float64)
     if sigma.shape not in ((), (n,)) or not ((sigma >= 1.0 / LARGEST) & (sigma <= LARGEST)).all():
-        raise InputError(f"identify expects noise as one positive number or ({n},) of them, got {noise!r}")
+        raise InputError(f"{owner} expects noise as one positive number or ({n},) of them, got {noise!r}")
     return np.broadcast_to(sigma, (n,)).copy()

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import jax
 import numpy as np
 from numpy.typing import NDArray
 
+from ...checks import listed, name_list, reals
+from ...errors import InputError, ModelError
 from ...expr import Concat, Constant, Expr, Parameter, State, leaves_of
 from ...scalar.fast import part_of_package
 from ...system.lower import lower
@@ -114,10 +116,55 @@ class StackedRegressor:
             return 0.0, 0.0
         return float(mass.sum() / count), float(np.sqrt(moments.sum() / mass.sum()))
 
+    def typical(self, owner: str, theta: Array, size: Any) -> tuple[float, float]:
+        """The mass, kg, and the length, m, of typical bodies: `size`, or where that is None those of parameters theta.
+
+        Raises:
+            ModelError: there are no masses.
+            InputError: a size of something else.
+        """
+        if size is None:
+            mass, length = self.size(theta)
+            if not mass:
+                raise ModelError(
+                    f"{owner}: the mechanism has no masses off its joints, so the size of its parameters is unknown.\n"
+                    "  fix: size=(kg, m) of a typical body"
+                )
+            return mass, length
+        pair = reals(f"{owner}: size", size, InputError)
+        if pair.shape != (2,) or not (np.isfinite(pair).all() and (pair > 0.0).all()):
+            raise InputError(f"{owner} expects size as two positive numbers, kg and m, got {size!r}")
+        return float(pair[0]), float(pair[1])
+
     def scales(self, mass: float, length: float) -> Array:
         """The size (p,) of each parameter, in its unit: of a mass and a length, and of drives that carry its weight."""
         bodies = np.tile(mass * length ** np.array(_LENGTHS, dtype=np.float64), self._bodies // len(BODY))
         return np.array([*bodies, *(self._of_drive(name, mass, length) for name in self.names[self._bodies :])])
+
+    def unknown(self, owner: str, links: Collection[str] | None, drives: Collection[str]) -> NDArray[np.bool_]:
+        """Which parameters (p,) are those of some links, all with a body by default, and kinds of drives.
+
+        Raises: ModelError for a link or kind that is not known, a link that no joint moves, and where none is left.
+        """
+        segments = self.mechanism.segments
+        if links is None:
+            chosen = {i for i, segment in enumerate(segments) if segment.body is not None}
+        else:
+            names = name_list(f"{owner}: links", links, ModelError)
+            chosen = {self.mechanism.frame(name).segment for name in names}
+            still = [name for name in names if self.mechanism.frame(name).segment < 0]
+            if still:
+                raise ModelError(f"{owner}: no joint force depends on {listed(still)}, which the base carries")
+        kinds = name_list(f"{owner}: drives", drives, ModelError)
+        for kind in kinds:
+            if kind not in DRIVE:
+                raise ModelError(f"{owner} expects drives among {listed(DRIVE, kind)}, got {kind!r}")
+        bodies = np.repeat([i in chosen for i in range(len(segments))], len(BODY))
+        joints = [name.rpartition(".")[2] in kinds for name in self.names[self._bodies :]]
+        unknown = np.concatenate([bodies, joints]).astype(bool)
+        if not unknown.any():
+            raise ModelError(f"{owner} expects links or drives that are unknown, got none")
+        return unknown
 
     @property
     def names(self) -> tuple[str, ...]:

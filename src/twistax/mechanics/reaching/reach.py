@@ -310,7 +310,8 @@ class _Reacher:
         reached = self._search.reached(solution.error)
         e, J = self.errors(solution.x, targets)
         open_J = jax.lax.stop_gradient(jnp.where(solution.free[None], J, 0.0))
-        mu = np.finfo(e.dtype).eps * jnp.sum(open_J * open_J)
+        size = jnp.sum(open_J * open_J)
+        mu = jnp.where(size > 0.0, np.finfo(e.dtype).eps * size, 1.0)  # a target on the base depends on no joint
         step = jnp.where(reached, self._search.least_squares(open_J, e, mu), 0.0)
         # Near a singular position the step may lead away: then its derivatives are kept, and it is not taken.
         after, _ = self.errors(jax.lax.stop_gradient(self.errors.space.moved(solution.x, step)), targets)

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 
+import jax
 import numpy as np
 
 from ...errors import ModelError
-from ...expr import Concat, Constant, Expr, InversePositive, Sum
+from ...expr import Concat, Constant, Expr, InversePositive, State, Sum, leaves_of
+from ...system.lower import lower
 from ..algorithms.jacobians import BODY, frame_jacobian, frame_jacobian_rate
 from ..kinematic_tree import KinematicTree
+from .configuration_space import ConfigurationSpace
 from .task import Task
+
+#: Singular values of a Jacobian below this are zero, m or 1.
+_RANK = 1e-9
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -24,7 +30,7 @@ class ManipulabilityTask(Task):
         frame: its name.
         angular: whether J has the rows of the angular velocity as well.
         weight, gain, damping: as of `Task`.
-    Raises: ModelError for fewer degrees of freedom than rows.
+    Raises: ModelError for a frame whose Jacobian has fewer degrees of freedom than rows, or is singular everywhere.
     """
 
     frame: str
@@ -39,6 +45,22 @@ class ManipulabilityTask(Task):
         if n < rows:
             raise ModelError(f"ManipulabilityTask: a Jacobian ({rows}, {n}) is singular everywhere")
         J = frame_jacobian(mechanism, self.frame, axes=BODY)[:rows]
+        if _singular_everywhere(mechanism, J):
+            raise ModelError(
+                f"ManipulabilityTask: the Jacobian ({rows}, {n}) of {self.frame!r} is singular everywhere, as that of "
+                "an arm that moves in a plane is"
+            )
         K = InversePositive(J @ J.T) @ J
         slopes = [frame_jacobian_rate(mechanism, self.frame, qd=unit, axes=BODY)[:rows] for unit in np.eye(n)]
         return Concat(*(Sum(K * slope) for slope in slopes))[None]
+
+
+def _singular_everywhere(mechanism: KinematicTree, J: Expr) -> bool:
+    """Whether a Jacobian has dependent rows at random positions; False where it reads parameters."""
+    if not all(isinstance(leaf, (Constant, State)) for leaf in leaves_of(J)):
+        return False
+    space = ConfigurationSpace("ManipulabilityTask", mechanism)
+    names = {leaf.name for leaf in leaves_of(J) if isinstance(leaf, State)}
+    x = {name: value[0] for name, value in space.random(np.random.default_rng(0), 1).items() if name in names}
+    with jax.enable_x64(True):
+        return bool(np.linalg.matrix_rank(np.asarray(lower(J)(0.0, x)), tol=_RANK) < J.shape[0])

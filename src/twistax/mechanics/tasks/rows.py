@@ -15,6 +15,7 @@ from ...checks import listed, short
 from ...errors import ModelError, ShapeError
 from ...expr import Concat, Constant, Control, Expr, Leaf, Parameter, State, Time, Vstack, leaves_of
 from ...expr.operations.comparisons import Constraint, Inequality
+from ...system.finite import need_finite
 from ...system.lower import lower
 from ...system.system import constraints_by_name
 from .configuration_space import Arrays, ConfigurationSpace
@@ -47,6 +48,7 @@ class TaskRows:
         self.sizes = [e.shape[0] for e in errors]
         self._read_numbers()
         self.expressions = (Concat(*errors), Vstack(*jacobians)) if errors else None
+        _need_one_target(owner, self.expressions or ())
         self._lowered = lower(list(self.expressions)) if self.expressions else None
 
     def _read_numbers(self) -> None:
@@ -98,6 +100,7 @@ class ConstraintRows:
         for name, constraint in constraints_by_name(constraints).items():
             if not isinstance(constraint, Constraint) or not isinstance(constraint, Inequality):
                 raise ModelError(f"{owner} keeps inequalities, got {name!r}: {short(constraint)}")
+            need_finite(f"{owner}: constraint {name!r}", constraint)
             residual = constraint.residual()
             if len(residual.shape) > 1:
                 raise ModelError(f"{owner} keeps constraints of shape () or (k,), got {name!r} {residual.shape}")
@@ -135,6 +138,7 @@ def inputs_of(
     owner: str, space: ConfigurationSpace, expressions: Sequence[Expr]
 ) -> tuple[list[Control], list[Parameter]]:
     """The controls and the parameters of expressions. Raises ModelError for states other than the positions."""
+    _need_one_target(owner, expressions)
     leaves: dict[tuple[type, str], Leaf] = {}
     for leaf in leaves_of(*expressions):
         if not isinstance(leaf, Constant):
@@ -147,6 +151,20 @@ def inputs_of(
         [leaf for leaf in leaves.values() if isinstance(leaf, Control)],
         [leaf for leaf in leaves.values() if isinstance(leaf, Parameter)],
     )
+
+
+def _need_one_target(owner: str, expressions: Sequence[Expr]) -> None:
+    """Raise ModelError where tasks have other numbers for a target of one name."""
+    named: dict[str, Parameter] = {}
+    for leaf in leaves_of(*expressions):
+        if not isinstance(leaf, Parameter):
+            continue
+        first, value = (np.asarray(one.value, float) for one in (named.setdefault(leaf.name, leaf), leaf))
+        if not np.array_equal(first, value, equal_nan=True):  # NaN stands for None
+            raise ModelError(
+                f"{owner}: two tasks have a target {leaf.name!r} with other numbers.\n"
+                "  fix: one task; or target=tx.Parameter(name, shape, value=...) with a name for each"
+            )
 
 
 def dtype_of(x: Arrays) -> Any:

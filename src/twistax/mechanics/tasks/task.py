@@ -73,4 +73,11 @@ class Task(abc.ABC):
         if value is None:
             return Control(name, shape)
         expr = pose(owner, "target", value) if shape == (4, 4) else of_shape(owner, "target", value, shape)
-        return expr if isinstance(value, Expr) else Parameter(name, shape, value=np.asarray(value, float))
+        if isinstance(value, Expr):
+            return expr
+        numbers = np.asarray(value, float)
+        if not np.isfinite(numbers).all():
+            raise ModelError(
+                f"{owner} expects target to be finite, got {short(value)}.\n  fix: None for one that each call takes"
+            )
+        return Parameter(name, shape, value=numbers)

@@ -1,0 +1,65 @@
+"""Periodic motions of joints as Fourier series: of numbers, and of expressions of time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...checks import number, reals
+from ...errors import InputError
+
+
+def fourier_motion(coefficients: Any, period: float, times: Any) -> dict[str, NDArray[Any]]:
+    """Positions, velocities and accelerations of joints that follow Fourier series.
+
+    With coefficients $[c, a_1 .. a_N, b_1 .. b_N]$ of a joint and $w = 2 pi / period$, its position is
+
+        $q(t) = c + sum_k a_k sin(k w t) / (k w) - b_k cos(k w t) / (k w)$.
+
+    Source: J. Swevers, C. Ganseman, D. Tukel, J. De Schutter, H. Van Brussel, Optimal Robot Excitation and
+    Identification, IEEE Transactions on Robotics and Automation 13 (1997), equation (3).
+
+    Args:
+        coefficients: (n, 2 N + 1): rad or m, then rad/s or m/s.
+        period: s, positive.
+        times: (count,), s.
+    Returns: "q", "qd" and "qdd", each (count, n): the records of `identify` but for the forces.
+    Raises: InputError for other shapes, or entries that are not finite.
+
+    Example: `fourier_motion(result.params["coefficients"], 10.0, np.arange(0.0, 10.0, 0.01))`
+    """
+    rows = reals("fourier_motion: coefficients", coefficients, InputError).astype(np.float64)
+    if rows.ndim != 2 or rows.shape[1] % 2 == 0 or not np.isfinite(rows).all():
+        raise InputError(f"fourier_motion expects finite coefficients of shape (n, 2 N + 1), got {rows.shape}")
+    number("fourier_motion: period", period, "a positive number", lambda x: 0.0 < x < np.inf)
+    t = reals("fourier_motion: times", times, InputError).astype(np.float64)
+    if t.ndim != 1 or not np.isfinite(t).all():
+        raise InputError(f"fourier_motion expects finite times of shape (count,), got {t.shape}")
+    w = frequencies(period, rows.shape[1] // 2)
+    ones = np.ones((len(t), 1))
+    parts = fourier_rows(w, np.sin(t[:, None] * w), np.cos(t[:, None] * w), ones, lambda *x: np.concatenate(x, axis=1))
+    return {name: np.asarray(part @ rows.T) for name, part in zip(("q", "qd", "qdd"), parts, strict=True)}
+
+
+def frequencies(period: float, harmonics: int) -> NDArray[np.float64]:
+    """The angular frequencies k w of a series, (N,), rad/s."""
+    return np.arange(1, harmonics + 1) * (2.0 * np.pi / period)
+
+
+def fourier_rows(w: Any, sine: Any, cosine: Any, one: Any, joined: Callable[..., Any]) -> tuple[Any, Any, Any]:
+    """What coefficients are multiplied by for the position, the velocity and the acceleration.
+
+    Args:
+        w: of `frequencies`.
+        sine, cosine: of $w t$.
+        one: the constant function.
+        joined: puts parts of a row together.
+    """
+    return (
+        joined(one, sine / w, -cosine / w),
+        joined(0.0 * one, cosine, sine),
+        joined(0.0 * one, -(sine * w), cosine * w),
+    )
