@@ -25,14 +25,11 @@ from ...system.inputs import Values
 from ..error_state_kalman import ErrorStateKalman
 from ..measurement import Measurement, check_definite
 from ..process_noise import NoiseDiscretization
-from ..smoothers.levenberg_marquardt import levenberg_marquardt
 from .experiment import SegmentedData, experiments_of, segmented
-from .multiple_shooting import Prior, SegmentUnknowns, ShootingSteps, scaled_eigenvalues, solved
+from .multiple_shooting import Prior, ShootingSteps, scaled_eigenvalues, solved
 from .parameter_estimate import ParameterEstimate
+from .search import SearchState, ShootingSearch
 from .segments import Segments
-
-#: Steps of the start of a segment to its measurements, before parameters move.
-_STATE_STEPS = 20
 
 
 class MaximumLikelihood:
@@ -189,40 +186,14 @@ class MaximumLikelihood:
         return jax.jit(self._solved)
 
     def _solved(self, data: SegmentedData, theta: jax.Array, prior: Prior) -> ParameterEstimate:
-        starts = self.shooting.simulated_starts(theta, data)
         tolerance = jnp.asarray(np.sqrt(float(jnp.finfo(theta.dtype).eps)), theta.dtype)
-        experiments, segments = data.rows.ts.shape[:2]
-        if segments > 1:
-            starts = self._to_measurements(starts, data, theta, tolerance)
-        weights = jnp.zeros((experiments, segments, self.kalman.model.dimension), theta.dtype)
-        tried = lambda unknowns, damping: self.shooting.tried(unknowns, damping, data, prior)  # noqa: E731
-        last = levenberg_marquardt(SegmentUnknowns(starts, theta, weights), tried, tolerance, self.max_iterations)
-        return self._judged(last.value, last.iterations, data, prior)
+        last = ShootingSearch(self.shooting, data, prior, tolerance, self.max_iterations).run(theta)
+        return self._judged(last, data, prior)
 
-    def _to_measurements(self, starts: Any, data: SegmentedData, theta: jax.Array, tolerance: jax.Array) -> Any:
-        """The starts of segments by the measurements of each alone; where the start is known it stays."""
-
-        def one(x: Any, rows: Any) -> Any:
-            tried = lambda x, damping: self.shooting.state_step(x, damping, theta, rows, data.params)  # noqa: E731
-            return levenberg_marquardt(x, tried, tolerance, _STATE_STEPS).value
-
-        fitted = jax.vmap(jax.vmap(one))(starts, data.rows)
-        open_start = data.starts.unknown.all(axis=1) & (data.starts.information == 0.0).all(axis=(1, 2))
-        segments = data.rows.ts.shape[1]
-        moved = open_start[:, None] | (jnp.arange(segments) > 0)[None, :]
-
-        def chosen(a: jax.Array, b: jax.Array) -> jax.Array:
-            return jnp.where(moved.reshape(*moved.shape, *(1,) * (a.ndim - 2)), a, b)
-
-        return jax.tree.map(chosen, fitted, starts)
-
-    def _judged(self, unknowns: SegmentUnknowns, iterations: jax.Array, data: SegmentedData, prior: Prior) -> Any:
+    def _judged(self, last: SearchState, data: SegmentedData, prior: Prior) -> ParameterEstimate:
         """The estimate, with its measures from one simulation of each experiment."""
-        merged = lambda a: a.reshape(len(a), 1, -1, *a.shape[3:])  # noqa: E731
-        data = data._replace(rows=jax.tree.map(merged, data.rows))
-        first = lambda a: a[:, :1]  # noqa: E731
-        unknowns = SegmentUnknowns(jax.tree.map(first, unknowns.starts), unknowns.theta, first(unknowns.weights))
-        problem = self.shooting.condensed(unknowns, data, prior)
+        unknowns = last.unknowns
+        problem = self.shooting.condensed(unknowns, last.segments, data, prior)
         free = self.shooting.free(problem, unknowns, data, prior)
         gain = 0.5 * problem.gradient @ solved(problem, free, jnp.zeros_like(unknowns.theta[0]))
         p = self.size
@@ -240,7 +211,7 @@ class MaximumLikelihood:
             residuals=sum(counts[1:], counts[0]),
             gain=gain,
             on_bound=~free[-p:],
-            iterations=iterations,
+            iterations=last.iterations,
             shapes=tuple((box.name, box.shape) for box in self.boxes),
         )
 

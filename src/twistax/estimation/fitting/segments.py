@@ -112,13 +112,6 @@ class Segments:
             jnp.where(present[:, None], residual, 0.0), jnp.where(present[:, None, None], S, one), present
         )
 
-    def likelihood(
-        self, x: Arrays, theta: jax.Array, rows: RecordRows, params: Arrays, P0: jax.Array | None = None
-    ) -> tuple[Arrays, Likelihood]:
-        """The end of a segment and the likelihood of its measurements."""
-        end, sensed = self.simulated(x, theta, rows, params, P0)
-        return end, _summed([_likelihood(one) for one in sensed.values()])
-
     def linearized(
         self, x: Arrays, theta: jax.Array, rows: RecordRows, params: Arrays, P0: jax.Array | None = None
     ) -> LinearizedSegment:
