@@ -25,7 +25,8 @@ from ...system.inputs import Values
 from ..error_state_kalman import ErrorStateKalman
 from ..measurement import Measurement, check_definite
 from ..process_noise import NoiseDiscretization
-from .experiment import SegmentedData, experiments_of, segmented
+from ..smoothers.robust_losses import RobustLoss, checked_losses
+from .experiment import SegmentedData, experiments_of, segmented, staged
 from .multiple_shooting import Prior, ShootingSteps, scaled_eigenvalues, solved
 from .parameter_estimate import ParameterEstimate
 from .search import SearchState, ShootingSearch
@@ -56,11 +57,14 @@ class MaximumLikelihood:
         free: the parameters that are unknown, by leaf or name: a list, or a dict to their limits (low, high), numbers
             or arrays; None for no limit.
         priors: by parameter a pair of its expected value and its covariance: a number, one for each entry, or a matrix.
+        losses: by measurement a `RobustLoss` rho, such as `HuberLoss()`, for records with outliers: $rho(e^T R^-1 e)$
+            in place of $e^T R^-1 e$. Squares if left out. Not with noise in the rates: an outlier moves the filter.
         method, max_step, noise: as of `ErrorStateKalman`.
         segments: of each record; at most 12 if left out, with eight rows or two for each entry of the state.
         max_iterations: steps at most.
     Raises:
-        ModelError: what `ErrorStateKalman` refuses; free or priors of what is no parameter, or was baked; no free one.
+        ModelError: what `ErrorStateKalman` refuses; free or priors of what is no parameter, or was baked; no free one;
+            losses of unknown measurements, or with noise in the rates.
         ShapeError, InputError: limits and priors of other shapes, or not positive definite.
 
     Example: `MaximumLikelihood(dynamics, [angle], free=["length"]).run(Experiment({"angle": (ts, qs)}, x0))`.
@@ -76,6 +80,7 @@ class MaximumLikelihood:
         free: Any,
         *,
         priors: Mapping[Any, Any] | None = None,
+        losses: Mapping[str, RobustLoss] | None = None,
         method: Any = None,
         max_step: float | None = None,
         noise: NoiseDiscretization | None = None,
@@ -94,7 +99,13 @@ class MaximumLikelihood:
         self.free = {box.name: self.free[box.name] for box in self.boxes}
         places = Controls(self.boxes).slices
         self.size = sum(prod(box.shape) for box in self.boxes)
-        shooting = Segments(self.kalman, {box.name: (places[box.name], box.shape) for box in self.boxes})
+        robust = checked_losses(losses, model.measurements)
+        if robust and model.process:
+            raise ModelError(
+                "fit expects no losses with noise in the rates: the filter follows outliers.\n"
+                "  fix: NaN for the outliers in the records"
+            )
+        shooting = Segments(self.kalman, {box.name: (places[box.name], box.shape) for box in self.boxes}, robust)
         self.places, self.shooting = places, ShootingSteps(shooting)
         if segments is not None:
             whole("segments", segments, 1, ModelError)
@@ -138,7 +149,7 @@ class MaximumLikelihood:
         """
         values = self._values(params or {})
         with watched("fit"):
-            shots = segmented(self.kalman, experiments_of(data), values, self.segments)
+            shots = self._cut(*staged(self.kalman, experiments_of(data), values, self.segments))
             dtype = shots.rows.ts.dtype
             limits = jnp.asarray(np.concatenate([limits_of(box) for box in self.boxes]).T, dtype)
             mean, information = (jnp.asarray(part, dtype) for part in self.prior)
@@ -180,6 +191,11 @@ class MaximumLikelihood:
             )
 
     # ---- iterations --------------------------------------------------------------------------------------------------
+
+    @functools.cached_property
+    def _cut(self) -> Callable[..., SegmentedData]:
+        # One program: operations of JAX one by one compile one by one.
+        return jax.jit(functools.partial(segmented, self.kalman), static_argnums=(1, 2))
 
     @functools.cached_property
     def _solve(self) -> Callable[..., ParameterEstimate]:

@@ -103,9 +103,7 @@ class ShootingSearch:
         shapes = jax.eval_shape(self.shooting.linearized, unknowns, data)
         nothing = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes)
         zero = jnp.zeros((), jnp.int32)
-        return SearchState(
-            zero, zero, unknowns, nothing, jnp.zeros(shape, theta.dtype), jnp.zeros(shape, bool), zero
-        )
+        return SearchState(zero, zero, unknowns, nothing, jnp.zeros(shape, theta.dtype), jnp.zeros(shape, bool), zero)
 
     def _advanced(self, state: SearchState) -> SearchState:
         shape, eps = state.settled.shape, float(jnp.finfo(state.damping.dtype).eps)
