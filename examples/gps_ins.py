@@ -46,9 +46,9 @@ def simulate(key, kalman, group, states):
     """The run of a filter with random biases, noise and start."""
     white, walk, begin, errors = jax.random.split(key, 4)
     offset = first * jax.random.normal(begin, (15,))
-    steps = DENSITIES[None, 6:] * np.sqrt(STEP) * jax.random.normal(walk, (len(ts), 6)).at[0].set(0.0)
+    steps = DENSITIES[6:] * np.sqrt(STEP) * jax.random.normal(walk, (len(ts), 6)).at[0].set(0.0)
     biases = offset[9:] + jnp.cumsum(steps, axis=0)
-    measured = readings + biases + DENSITIES[None, :6] / np.sqrt(STEP) * jax.random.normal(white, biases.shape)
+    measured = readings + biases + DENSITIES[:6] / np.sqrt(STEP) * jax.random.normal(white, biases.shape)
     truth = {**states, "bg": biases[:, :3], "ba": biases[:, 3:]}
     estimate = group.retract({name: x[0] for name, x in truth.items()}, -offset)  # with biases of zero
     positions = flight[:: round(1.0 / STEP), :3, 4] + GPS * jax.random.normal(errors, (len(seconds), 3))
