@@ -10,7 +10,7 @@ from scipy.linalg import expm
 from scipy.optimize import least_squares, minimize
 
 import twistax as tx
-from twistax.estimation import Experiment, MaximumLikelihood
+from twistax.estimation import Experiment, HuberLoss, MaximumLikelihood
 
 q, w = tx.State("q"), tx.State("w")
 LENGTH, DAMPING = tx.Parameter("length"), tx.Parameter("damping")
@@ -135,6 +135,44 @@ def test_every_combination_without_effect_is_named() -> None:
     t = np.concatenate([ts, ts[:3]])
     inverse = np.linalg.inv(np.array([[t @ t, t.sum()], [t.sum(), 7.0]]) / 0.04)
     np.testing.assert_allclose(fit.deviations()["offset"], np.sqrt(inverse[1, 1]), rtol=1e-9)
+
+
+# ---- outliers --------------------------------------------------------------------------------------------------------
+
+
+def test_robust_losses_keep_outliers_from_the_estimate() -> None:
+    """10 % of the angles are wrong by half a radian. Beside SciPy's least squares with the same loss."""
+    values, rng = MEASURED.copy(), np.random.default_rng(2)
+    values[rng.choice(51, 5, replace=False)] += 0.5
+    best = least_squares(
+        lambda p: (angles(p) - values) / 0.01, TRUTH, x_scale="jac", xtol=1e-12, ftol=1e-12, loss="huber", f_scale=1.345
+    )
+    arguments: Any = {
+        "free": [LENGTH, DAMPING],
+        "measurements": [ANGLE],
+        "params": {"length": 1.5, "damping": 0.0},
+        "segments": 2,
+    }
+    fit = tx.fit(PENDULUM, pendulum(values), losses={"angle": HuberLoss()}, **arguments)
+    found = np.array([fit.params["length"], fit.params["damping"]])
+    np.testing.assert_allclose(found, best.x[:2], rtol=1e-6)
+    np.testing.assert_allclose(fit.cost, best.cost + 51 * (np.log(0.01) + 0.5 * np.log(2.0 * np.pi)), rtol=1e-9)
+    assert (np.abs(found - TRUTH[:2]) < 4.0 * np.array(list(fit.deviations().values()))).all()
+    squares = tx.fit(PENDULUM, pendulum(values), **arguments)
+    assert abs(squares.params["damping"] - TRUTH[1]) > 5.0 * abs(found[1] - TRUTH[1])
+
+
+@pytest.mark.parametrize(
+    ("losses", "message"),
+    [
+        ({"angel": HuberLoss()}, "the measurements are 'angle'"),
+        ({"angle": HuberLoss()}, "no losses with noise in the rates"),
+    ],
+)
+def test_losses_that_do_not_fit_are_refused(losses: Any, message: str) -> None:
+    noisy = tx.compile(tx.System(rates={q: LENGTH * w, w: tx.Noise("push", density=0.1)}))
+    with pytest.raises(tx.ModelError, match=message):
+        MaximumLikelihood(noisy, [ANGLE], [LENGTH], losses=losses)
 
 
 # ---- bounds, priors, noise in the rates, groups ----------------------------------------------------------------------

@@ -1,5 +1,6 @@
 """Verdicts on covariances, and what the data cannot tell."""
 
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -69,6 +70,22 @@ def test_a_filter_with_the_wrong_noise_is_found_out(told: float, verdict: Verdic
     assert run.innovation_consistency("y").verdict is verdict
     one = jax.tree.map(lambda a: a[0], run)
     assert one.consistency({"x": truth["x"][0]}).verdict is Verdict.UNDECIDED
+
+
+@pytest.mark.slow
+def test_the_covariance_of_an_ins_is_honest_over_200_flights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The example with more flights; another integrator makes the truth. With Euler angles the filter is optimistic."""
+    example = Path(__file__).parents[2] / "examples" / "gps_ins.py"
+    source = example.read_text()
+    assert "RUNS, STEP, END, OUTAGE = 40" in source
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {"__name__": "__main__"}
+    with jax.numpy_rank_promotion("allow"):
+        exec(compile(source.replace("OUTAGE = 40", "OUTAGE = 200"), str(example), "exec"), names)
+    tests = {type(kalman).__name__: run.consistency(truth) for kalman, (run, truth) in names["results"].items()}
+    assert tests["InvariantKalman"].runs == 200
+    assert tests["InvariantKalman"].inside >= 0.9
+    assert tests["ErrorStateKalman"].verdict is Verdict.OPTIMISTIC
 
 
 def test_combinations_that_the_data_cannot_tell_are_named() -> None:

@@ -5,6 +5,7 @@ import functools
 from .figures import (
     calls,
     costs,
+    defaults,
     derivatives,
     filters,
     hessians,
@@ -74,6 +75,7 @@ FIGURES: dict[str, Section] = {
     "vectors": vectors.VECTORS,
     "kernels": scalars.KERNELS,
     "small": small_matrices.SMALL,
+    "defaults": defaults.DEFAULTS,
     "larger": larger_matrices.LARGER,
     "mechanisms": mechanisms.MECHANISMS,
     "landings": costs.LANDINGS,

@@ -91,26 +91,42 @@ def experiments_of(data: Any) -> tuple[Experiment, ...]:
     return experiments
 
 
-def segmented(
+class StagedData(NamedTuple):
+    """Checked experiments before they are cut: the arguments of runs, and guesses of the starts of segments."""
+
+    stages: tuple[RunStages, ...]
+    guesses: tuple[dict[str, np.ndarray], ...]
+
+
+def staged(
     kalman: ErrorStateKalman, experiments: Sequence[Experiment], params: Values, segments: int | None
-) -> SegmentedData:
-    """The arrays of experiments. Raises InputError, ShapeError as the run of a filter does."""
-    staged, starts = [], []
-    for one in experiments:
-        P0 = 0.0 if one.P0 is None else one.P0
-        stages = kalman.staged(one.records, one.x0, P0, one.t0, one.u, params, ())
-        staged.append(stages)
-        starts.append(_start(stages, one.P0 is None, bool(kalman.model.process)))
-    count = max(len(stages.ts) for stages in staged)
-    n = kalman.model.dimension
+) -> tuple[StagedData, tuple[bool, ...], int]:
+    """The experiments, which of their starts are free, and the number of segments of each.
+
+    Raises InputError, ShapeError as the run of a filter does.
+    """
+    stages = tuple(
+        kalman.staged(one.records, one.x0, 0.0 if one.P0 is None else one.P0, one.t0, one.u, params, ())
+        for one in experiments
+    )
+    count, n = max(len(one.ts) for one in stages), kalman.model.dimension
     if segments is None:
         # A segment must tell its start: some rows for each entry of the state. Noise ties rows together, see _sensed.
         segments = 1 if kalman.model.process else max(1, min(_SEGMENTS, count // max(8, 2 * n)))
     length = -(-count // segments)
-    rows = [_rows(kalman, stages, segments, length) for stages in staged]
-    guess = [_guess(one, stages, segments, length) for one, stages in zip(experiments, staged)]
+    guesses = tuple(_guess(one, by_time, segments, length) for one, by_time in zip(experiments, stages))
+    return StagedData(stages, guesses), tuple(one.P0 is None for one in experiments), segments
+
+
+def segmented(kalman: ErrorStateKalman, data: StagedData, free: tuple[bool, ...], segments: int) -> SegmentedData:
+    """The arrays of experiments in segments; traceable."""
+    starts = [_start(one, is_free, bool(kalman.model.process)) for one, is_free in zip(data.stages, free)]
+    length = -(-max(len(one.ts) for one in data.stages) // segments)
+    rows = [_rows(kalman, one, segments, length) for one in data.stages]
     stack = lambda trees: jax.tree.map(lambda *a: jnp.stack(a), *trees)  # noqa: E731
-    return SegmentedData(stack(rows), stack(starts), stack(guess), staged[0].params)
+    dtype = data.stages[0].ts.dtype
+    guess = jax.tree.map(lambda a: a.astype(dtype), stack(data.guesses))
+    return SegmentedData(stack(rows), stack(starts), guess, data.stages[0].params)
 
 
 #: Segments of a record at most, where their number is left out.
@@ -149,12 +165,11 @@ def _rows(kalman: ErrorStateKalman, stages: RunStages, segments: int, length: in
     return RecordRows(repeated(stages.ts), none(stages.hs), repeated(stages.controls), repeated(values), none(present))
 
 
-def _guess(experiment: Experiment, stages: RunStages, segments: int, length: int) -> Arrays:
+def _guess(experiment: Experiment, stages: RunStages, segments: int, length: int) -> dict[str, np.ndarray]:
     """States at the starts of segments (segments, *shape) that are nearest in time; NaN where there is no guess."""
     shapes = {name: (segments, *x.shape) for name, x in stages.x0.items()}
-    dtype = stages.ts.dtype
     if experiment.guess is None:
-        return {name: jnp.full(shape, jnp.nan, dtype) for name, shape in shapes.items()}
+        return {name: np.full(shape, np.nan) for name, shape in shapes.items()}
     times, states = experiment.guess
     times = np.asarray(times, float)
     starts = stages.timeline.ts[np.clip(np.arange(segments) * length - 1, 0, len(stages.ts) - 1)]
@@ -164,5 +179,5 @@ def _guess(experiment: Experiment, stages: RunStages, segments: int, length: int
         value = np.asarray(states.get(name, np.nan), float)
         if value.ndim and value.shape != (len(times), *shape[1:]):
             raise InputError(f"guess[{name!r}] expects shape {(len(times), *shape[1:])}, got {value.shape}")
-        guess[name] = jnp.asarray(value[nearest] if value.ndim else np.full(shape, np.nan), dtype)
+        guess[name] = value[nearest] if value.ndim else np.full(shape, np.nan)
     return guess

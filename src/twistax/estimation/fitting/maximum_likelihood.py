@@ -25,14 +25,12 @@ from ...system.inputs import Values
 from ..error_state_kalman import ErrorStateKalman
 from ..measurement import Measurement, check_definite
 from ..process_noise import NoiseDiscretization
-from ..smoothers.levenberg_marquardt import levenberg_marquardt
-from .experiment import SegmentedData, experiments_of, segmented
-from .multiple_shooting import Prior, SegmentUnknowns, ShootingSteps, scaled_eigenvalues, solved
+from ..smoothers.robust_losses import RobustLoss, checked_losses
+from .experiment import SegmentedData, experiments_of, segmented, staged
+from .multiple_shooting import Prior, ShootingSteps, scaled_eigenvalues, solved
 from .parameter_estimate import ParameterEstimate
+from .search import SearchState, ShootingSearch
 from .segments import Segments
-
-#: Steps of the start of a segment to its measurements, before parameters move.
-_STATE_STEPS = 20
 
 
 class MaximumLikelihood:
@@ -59,11 +57,14 @@ class MaximumLikelihood:
         free: the parameters that are unknown, by leaf or name: a list, or a dict to their limits (low, high), numbers
             or arrays; None for no limit.
         priors: by parameter a pair of its expected value and its covariance: a number, one for each entry, or a matrix.
+        losses: by measurement a `RobustLoss` rho, such as `HuberLoss()`, for records with outliers: $rho(e^T R^-1 e)$
+            in place of $e^T R^-1 e$. Squares if left out. Not with noise in the rates: an outlier moves the filter.
         method, max_step, noise: as of `ErrorStateKalman`.
         segments: of each record; at most 12 if left out, with eight rows or two for each entry of the state.
         max_iterations: steps at most.
     Raises:
-        ModelError: those of `ErrorStateKalman`; free or priors of an unknown or baked parameter; no free one.
+        ModelError: those of `ErrorStateKalman`; free or priors of an unknown or baked parameter; no free one;
+            losses of unknown measurements, or with noise in the rates.
         ShapeError, InputError: limits and priors of other shapes, or not positive definite.
 
     Example: `MaximumLikelihood(dynamics, [angle], free=["length"]).run(Experiment({"angle": (ts, qs)}, x0))`.
@@ -79,6 +80,7 @@ class MaximumLikelihood:
         free: Any,
         *,
         priors: Mapping[Any, Any] | None = None,
+        losses: Mapping[str, RobustLoss] | None = None,
         method: Any = None,
         max_step: float | None = None,
         noise: NoiseDiscretization | None = None,
@@ -97,7 +99,13 @@ class MaximumLikelihood:
         self.free = {box.name: self.free[box.name] for box in self.boxes}
         places = Controls(self.boxes).slices
         self.size = sum(prod(box.shape) for box in self.boxes)
-        shooting = Segments(self.kalman, {box.name: (places[box.name], box.shape) for box in self.boxes})
+        robust = checked_losses(losses, model.measurements)
+        if robust and model.process:
+            raise ModelError(
+                "fit expects no losses with noise in the rates: the filter follows outliers.\n"
+                "  fix: NaN for the outliers in the records"
+            )
+        shooting = Segments(self.kalman, {box.name: (places[box.name], box.shape) for box in self.boxes}, robust)
         self.places, self.shooting = places, ShootingSteps(shooting)
         if segments is not None:
             whole("segments", segments, 1, ModelError)
@@ -141,7 +149,7 @@ class MaximumLikelihood:
         """
         values = self._values(params or {})
         with watched("fit"):
-            shots = segmented(self.kalman, experiments_of(data), values, self.segments)
+            shots = self._cut(*staged(self.kalman, experiments_of(data), values, self.segments))
             dtype = shots.rows.ts.dtype
             limits = jnp.asarray(np.concatenate([limits_of(box) for box in self.boxes]).T, dtype)
             mean, information = (jnp.asarray(part, dtype) for part in self.prior)
@@ -185,44 +193,23 @@ class MaximumLikelihood:
     # ---- iterations --------------------------------------------------------------------------------------------------
 
     @functools.cached_property
+    def _cut(self) -> Callable[..., SegmentedData]:
+        # One program: operations of JAX one by one compile one by one.
+        return jax.jit(functools.partial(segmented, self.kalman), static_argnums=(1, 2))
+
+    @functools.cached_property
     def _solve(self) -> Callable[..., ParameterEstimate]:
         return jax.jit(self._solved)
 
     def _solved(self, data: SegmentedData, theta: jax.Array, prior: Prior) -> ParameterEstimate:
-        starts = self.shooting.simulated_starts(theta, data)
         tolerance = jnp.asarray(np.sqrt(float(jnp.finfo(theta.dtype).eps)), theta.dtype)
-        experiments, segments = data.rows.ts.shape[:2]
-        if segments > 1:
-            starts = self._to_measurements(starts, data, theta, tolerance)
-        weights = jnp.zeros((experiments, segments, self.kalman.model.dimension), theta.dtype)
-        tried = lambda unknowns, damping: self.shooting.tried(unknowns, damping, data, prior)  # noqa: E731
-        last = levenberg_marquardt(SegmentUnknowns(starts, theta, weights), tried, tolerance, self.max_iterations)
-        return self._judged(last.value, last.iterations, data, prior)
+        last = ShootingSearch(self.shooting, data, prior, tolerance, self.max_iterations).run(theta)
+        return self._judged(last, data, prior)
 
-    def _to_measurements(self, starts: Any, data: SegmentedData, theta: jax.Array, tolerance: jax.Array) -> Any:
-        """The starts of segments by the measurements of each alone; where the start is known it stays."""
-
-        def one(x: Any, rows: Any) -> Any:
-            tried = lambda x, damping: self.shooting.state_step(x, damping, theta, rows, data.params)  # noqa: E731
-            return levenberg_marquardt(x, tried, tolerance, _STATE_STEPS).value
-
-        fitted = jax.vmap(jax.vmap(one))(starts, data.rows)
-        open_start = data.starts.unknown.all(axis=1) & (data.starts.information == 0.0).all(axis=(1, 2))
-        segments = data.rows.ts.shape[1]
-        moved = open_start[:, None] | (jnp.arange(segments) > 0)[None, :]
-
-        def chosen(a: jax.Array, b: jax.Array) -> jax.Array:
-            return jnp.where(moved.reshape(*moved.shape, *(1,) * (a.ndim - 2)), a, b)
-
-        return jax.tree.map(chosen, fitted, starts)
-
-    def _judged(self, unknowns: SegmentUnknowns, iterations: jax.Array, data: SegmentedData, prior: Prior) -> Any:
+    def _judged(self, last: SearchState, data: SegmentedData, prior: Prior) -> ParameterEstimate:
         """The estimate, with its measures from one simulation of each experiment."""
-        merged = lambda a: a.reshape(len(a), 1, -1, *a.shape[3:])  # noqa: E731
-        data = data._replace(rows=jax.tree.map(merged, data.rows))
-        first = lambda a: a[:, :1]  # noqa: E731
-        unknowns = SegmentUnknowns(jax.tree.map(first, unknowns.starts), unknowns.theta, first(unknowns.weights))
-        problem = self.shooting.condensed(unknowns, data, prior)
+        unknowns = last.unknowns
+        problem = self.shooting.condensed(unknowns, last.segments, data, prior)
         free = self.shooting.free(problem, unknowns, data, prior)
         gain = 0.5 * problem.gradient @ solved(problem, free, jnp.zeros_like(unknowns.theta[0]))
         p = self.size
@@ -240,7 +227,7 @@ class MaximumLikelihood:
             residuals=sum(counts[1:], counts[0]),
             gain=gain,
             on_bound=~free[-p:],
-            iterations=iterations,
+            iterations=last.iterations,
             shapes=tuple((box.name, box.shape) for box in self.boxes),
         )
 

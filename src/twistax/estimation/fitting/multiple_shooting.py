@@ -40,7 +40,6 @@ class Condensed(NamedTuple):
         gradient, information: of the cost with its priors.
         of_data: the information without the prior of parameters.
         tangents: (experiments, segments, n, n + p + 1), the starts of segments $T [d_0; theta; 1]$.
-        segments: see `LinearizedSegment`.
         gaps: their values and derivatives.
     """
 
@@ -50,7 +49,6 @@ class Condensed(NamedTuple):
     information: jax.Array
     of_data: jax.Array
     tangents: jax.Array
-    segments: LinearizedSegment
     gaps: tuple[jax.Array, jax.Array, jax.Array]
 
 
@@ -69,41 +67,53 @@ class ShootingSteps:
     def __init__(self, segments: Segments) -> None:
         self.segments, self.group = segments, segments.model.group
 
-    # ---- cost --------------------------------------------------------------------------------------------------------
+    def linearized(self, unknowns: SegmentUnknowns, data: SegmentedData) -> LinearizedSegment:
+        """All segments about their starts and the parameters, (experiments, segments, ...)."""
 
-    def cost(self, unknowns: SegmentUnknowns, data: SegmentedData, prior: Prior) -> tuple[jax.Array, jax.Array]:
-        """The negative logarithm of the posterior density, and the sum of weighted gaps."""
+        def one(x: Arrays, rows: Any, P0: jax.Array) -> LinearizedSegment:
+            return self.segments.linearized(x, unknowns.theta, rows, data.params, P0)
 
-        def one(starts: Arrays, rows: Any, start: StartEstimate) -> Any:
-            evaluate = lambda x, row: self.segments.likelihood(x, unknowns.theta, row, data.params, start.P0)  # noqa: E731
-            ends, likelihoods = jax.vmap(evaluate)(starts, rows)
-            gap = jax.vmap(lambda end, following: self.group.difference(following, end))(ends, _following(starts, ends))
+        of_experiment = jax.vmap(one, (0, 0, None))
+        return jax.vmap(of_experiment)(unknowns.starts, data.rows, data.starts.P0)
+
+    def cost(
+        self, unknowns: SegmentUnknowns, segments: LinearizedSegment, data: SegmentedData, prior: Prior
+    ) -> jax.Array:
+        """The negative logarithm of the posterior density, and weighted gaps."""
+
+        def one(starts: Arrays, segments: LinearizedSegment, start: StartEstimate) -> Any:
+            gap = jax.vmap(lambda end, following: self.group.difference(following, end))
             _, e = _start_residual(self.group, start, _first(starts))
-            return likelihoods, gap, 0.5 * e @ start.information @ e
+            return gap(segments.end, _following(starts, segments.end)), 0.5 * e @ start.information @ e
 
-        likelihoods, gaps, of_start = jax.vmap(one)(unknowns.starts, data.rows, data.starts)
-        total = jnp.sum(likelihoods.cost) + jnp.sum(of_start) + _of_prior(prior, unknowns.theta)
-        return total, jnp.sum(unknowns.weights * jnp.abs(gaps))
+        gaps, of_start = jax.vmap(one)(unknowns.starts, segments, data.starts)
+        total = jnp.sum(segments.likelihood.cost) + jnp.sum(of_start) + _of_prior(prior, unknowns.theta)
+        return total + jnp.sum(unknowns.weights * jnp.abs(gaps))
 
     # ---- a step ------------------------------------------------------------------------------------------------------
 
-    def condensed(self, unknowns: SegmentUnknowns, data: SegmentedData, prior: Prior, closed: Any = 1.0) -> Condensed:
+    def condensed(
+        self,
+        unknowns: SegmentUnknowns,
+        segments: LinearizedSegment,
+        data: SegmentedData,
+        prior: Prior,
+        closed: Any = 1.0,
+    ) -> Condensed:
         """The linearised problem about the unknowns, which closes a fraction of all gaps."""
         n, p, theta = self.group.dimension, unknowns.theta.size, unknowns.theta
         count = len(data.starts.unknown)
 
-        def one(starts: Arrays, rows: Any, start: StartEstimate) -> Any:
-            evaluate = lambda x, row: self.segments.linearized(x, theta, row, data.params, start.P0)  # noqa: E731
-            segments = jax.vmap(evaluate)(starts, rows)
+        def one(starts: Arrays, segments: LinearizedSegment, start: StartEstimate) -> Any:
             following = _following(starts, segments.end)
             gaps = jax.vmap(lambda end, x: gap_and_slopes(self.group, end, x))(segments.end, following)
             g, N, tangents = _eliminated(segments, (gaps[0] * closed, *gaps[1:]))
             slope, e = _start_residual(self.group, start, _first(starts))
             g = g.at[:n].add(slope.T @ start.information @ e)
             of_start = 0.5 * e @ start.information @ e, slope.T @ start.information @ slope
-            return g, N, of_start, tangents, segments, gaps
+            return g, N, of_start, tangents, gaps
 
-        g, N, (costs, of_start), tangents, segments, gaps = jax.vmap(one)(unknowns.starts, data.rows, data.starts)
+        g, N, (costs, of_start), tangents, gaps = jax.vmap(one)(unknowns.starts, segments, data.starts)
         size = count * n + p
         gradient, information = jnp.zeros(size, theta.dtype), jnp.zeros((size, size), theta.dtype)
         last = jnp.arange(count * n, size)
@@ -117,7 +127,7 @@ class ShootingSteps:
         information = information.at[last[:, None], last].add(prior.information)
         likelihood = jax.tree.map(jnp.sum, segments.likelihood)
         cost = likelihood.cost + jnp.sum(costs) + _of_prior(prior, theta)
-        return Condensed(cost, likelihood, gradient, information, of_data, tangents, segments, gaps)
+        return Condensed(cost, likelihood, gradient, information, of_data, tangents, gaps)
 
     def free(self, problem: Condensed, unknowns: SegmentUnknowns, data: SegmentedData, prior: Prior) -> jax.Array:
         """Which entries of z may move: not what is known, nor parameters that a bound holds against the gradient."""
@@ -126,13 +136,18 @@ class ShootingSteps:
         blocked = ((unknowns.theta <= low) & (slope > 0.0)) | ((unknowns.theta >= high) & (slope < 0.0))
         return jnp.concatenate([data.starts.unknown.reshape(-1), ~blocked])
 
-    def tried(
-        self, unknowns: SegmentUnknowns, damping: jax.Array, data: SegmentedData, prior: Prior
+    def step(
+        self,
+        unknowns: SegmentUnknowns,
+        segments: LinearizedSegment,
+        damping: jax.Array,
+        data: SegmentedData,
+        prior: Prior,
     ) -> tuple[SegmentUnknowns, jax.Array, jax.Array]:
-        """A step, whether it is better, and its size: the change of all residuals in standard deviations."""
+        """A step, its size, the change of all residuals in standard deviations, and the cost before it."""
         n, p = self.group.dimension, unknowns.theta.size
         # A damped step is short in all that it does.
-        problem = self.condensed(unknowns, data, prior, 1.0 / (1.0 + damping))
+        problem = self.condensed(unknowns, segments, data, prior, 1.0 / (1.0 + damping))
         z = -solved(problem, self.free(problem, unknowns, data, prior), damping)
         theta = jnp.clip(unknowns.theta + z[-p:], *prior.limits)
         change = theta - unknowns.theta
@@ -142,43 +157,19 @@ class ShootingSteps:
         d = jnp.einsum("rjnz,rz->rjn", problem.tangents, change_of_all)
         starts = jax.vmap(jax.vmap(self.group.retract))(unknowns.starts, d)
         both = jnp.concatenate([d, jnp.broadcast_to(change, (*d.shape[:2], p))], axis=2)
-        step = jnp.sqrt(jnp.einsum("rjp,rjpq,rjq->", both, problem.segments.information, both))
-        multipliers = jnp.abs(jax.vmap(_multipliers)(problem.segments, problem.gaps, both))
+        size = jnp.sqrt(jnp.einsum("rjp,rjpq,rjq->", both, segments.information, both))
+        multipliers = jnp.abs(jax.vmap(_multipliers)(segments, problem.gaps, both))
         # They follow the multipliers down too: the first ones, of wrong parameters, would keep steps short for good.
         weights = 1.1 * jnp.maximum(multipliers, 0.5 * (unknowns.weights + multipliers))
         before = problem.cost + jnp.sum(weights * jnp.abs(problem.gaps[0]))
-        new = SegmentUnknowns(starts, theta, weights)
-        after = sum(self.cost(new, data, prior))
-        return new, after <= before + 16.0 * float(jnp.finfo(theta.dtype).eps) * jnp.abs(before), step
+        return SegmentUnknowns(starts, theta, weights), size, before
 
-    # ---- where a search begins ---------------------------------------------------------------------------------------
-
-    def simulated_starts(self, theta: jax.Array, data: SegmentedData) -> Arrays:
-        """The simulated starts of segments; a start with a guess keeps it."""
-
-        def one(x0: Arrays, rows: Any, guess: Arrays) -> Arrays:
-            def advance(x: Arrays, row: Any) -> tuple[Arrays, Arrays]:
-                segment, known = row
-                x = {name: jnp.where(jnp.isfinite(known[name]).all(), known[name], x[name]) for name in x}
-                end, _ = self.segments.simulated(x, theta, segment, data.params)
-                finite = jnp.stack([jnp.isfinite(a).all() for a in end.values()]).all()
-                return jax.tree.map(lambda a, b: jnp.where(finite, a, b), end, x0), x
-
-            return jax.lax.scan(advance, x0, (rows, guess))[1]
-
-        return jax.vmap(one)(data.starts.x, data.rows, data.guess)
-
-    def state_step(
-        self, x: Arrays, damping: jax.Array, theta: jax.Array, rows: Any, params: Arrays
-    ) -> tuple[Arrays, jax.Array, jax.Array]:
-        """A step of the start of one segment to its measurements alone, at constant parameters."""
+    def start_step(self, x: Arrays, segment: LinearizedSegment, damping: jax.Array) -> tuple[Arrays, jax.Array]:
+        """A step of the start of one segment to its measurements alone, at constant parameters, and its size."""
         n = self.group.dimension
-        segment = self.segments.linearized(x, theta, rows, params)
         N, g = segment.information[:n, :n], segment.gradient[:n]
         d = -damped_solve(N, g, jnp.ones(n, bool), damping)
-        new = self.group.retract(x, d)
-        _, after = self.segments.likelihood(new, theta, rows, params)
-        return new, after.cost <= segment.likelihood.cost, jnp.sqrt(d @ N @ d)
+        return self.group.retract(x, d), jnp.sqrt(d @ N @ d)
 
 
 def solved(problem: Condensed, free: jax.Array, damping: jax.Array) -> jax.Array:

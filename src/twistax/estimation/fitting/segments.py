@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import jax
@@ -10,8 +12,10 @@ from jax.scipy.linalg import solve_triangular
 
 from ...expr import leaves_of
 from ...linear.discretize import value_and_jacobian
+from ...scalar.kernel_function import KernelFunction
 from ...system.dynamics import Arrays
 from ..error_state_kalman import ErrorStateKalman
+from ..smoothers.robust_losses import RobustLoss
 from ..stochastic_model import OperatingPoint
 from .experiment import RecordRows
 
@@ -28,7 +32,8 @@ class Likelihood(NamedTuple):
     """The negative logarithm of a likelihood, and the sum of normalised squares in it.
 
     Attributes:
-        cost, squares: $1/2 sum (e^T S^-1 e + log det S + m log 2 pi)$ and $sum e^T S^-1 e$.
+        cost, squares: $1/2 sum (rho(s) + log det S + m log 2 pi)$ and $sum s$, where $s = e^T S^-1 e$ and rho(s) = s
+            without a robust loss.
     """
 
     cost: jax.Array
@@ -57,13 +62,21 @@ class Segments:
 
     Without noise in the rates a segment is simulated from its start, the covariance S of a residual e is that of the
     measurement, and the estimate is that of the output error method. With noise e and S are the innovations of the
-    error-state filter: the filter error method.
+    error-state filter: the filter error method. A residual with a robust loss counts with its weight in the gradient
+    and in the information, as in iteratively reweighted least squares.
 
-    Source: Maine, Iliff, Identification of dynamic systems, NASA RP-1138 (1985), sec. 7 and 8.
+    Source: Maine, Iliff, Identification of dynamic systems, NASA RP-1138 (1985), sec. 7 and 8; Huber, Robust
+    statistics (1981), sec. 7.8.
     """
 
-    def __init__(self, kalman: ErrorStateKalman, free: dict[str, tuple[slice, tuple[int, ...]]]) -> None:
-        self.kalman, self.model, self.free = kalman, kalman.model, free
+    def __init__(
+        self,
+        kalman: ErrorStateKalman,
+        free: dict[str, tuple[slice, tuple[int, ...]]],
+        losses: Mapping[str, RobustLoss],
+    ) -> None:
+        self.kalman, self.model, self.free, self.losses = kalman, kalman.model, free, losses
+        self._row = KernelFunction(self._moved, self.model.dynamics.backend)
         self.varying = {name: self._varies(name) for name in self.model.measurements}
 
     def _varies(self, name: str) -> bool:
@@ -90,7 +103,7 @@ class Segments:
         else:
 
             def moved(x: Arrays, row: Any) -> Any:
-                return self._moved(x, RecordRows(*row), values)
+                return self._row(x, RecordRows(*row), values)
 
             end, sensed = jax.lax.scan(moved, x, tuple(rows))
         return end, {name: self._innovation(*sensed[name], rows.present[name]) for name in sensed}
@@ -99,10 +112,10 @@ class Segments:
         self, x: Arrays, row: RecordRows, params: Arrays
     ) -> tuple[Arrays, dict[str, tuple[jax.Array, jax.Array]]]:
         """The state after a row, with residuals and their covariances."""
-        x = self.model.moved(OperatingPoint(row.ts - row.hs, x, row.controls, params), row.hs)
-        sensed = {}
+        model, sensed = self.model.in_arrays, {}
+        x = model.moved(OperatingPoint(row.ts - row.hs, x, row.controls, params), row.hs)
         for name, z in row.values.items():
-            value, _, R = self.model.sensitivity(name, OperatingPoint(row.ts, x, row.controls, params))
+            value, _, R = model.sensitivity(name, OperatingPoint(row.ts, x, row.controls, params))
             sensed[name] = self.model.measurements[name].group.difference(value, z), R
         return x, sensed
 
@@ -111,13 +124,6 @@ class Segments:
         return Innovation(
             jnp.where(present[:, None], residual, 0.0), jnp.where(present[:, None, None], S, one), present
         )
-
-    def likelihood(
-        self, x: Arrays, theta: jax.Array, rows: RecordRows, params: Arrays, P0: jax.Array | None = None
-    ) -> tuple[Arrays, Likelihood]:
-        """The end of a segment and the likelihood of its measurements."""
-        end, sensed = self.simulated(x, theta, rows, params, P0)
-        return end, _summed([_likelihood(one) for one in sensed.values()])
 
     def linearized(
         self, x: Arrays, theta: jax.Array, rows: RecordRows, params: Arrays, P0: jax.Array | None = None
@@ -135,12 +141,12 @@ class Segments:
         (slope, slopes), (end, sensed) = jax.jacfwd(moved, has_aux=True)(z)
         gradient, information = jnp.zeros_like(z), jnp.zeros((z.size, z.size), z.dtype)
         for name, one in sensed.items():
-            g, N = jax.vmap(_derivatives)(one.residual, one.S, *slopes[name])
+            derivatives = functools.partial(_derivatives, self.losses.get(name))
+            g, N = jax.vmap(derivatives)(one.residual, one.S, *slopes[name])
             gradient = gradient + jnp.sum(jnp.where(one.present[:, None], g, 0.0), axis=0)
             information = information + jnp.sum(jnp.where(one.present[:, None, None], N, 0.0), axis=0)
-        return LinearizedSegment(
-            end, slope, _summed([_likelihood(one) for one in sensed.values()]), gradient, information
-        )
+        likelihood = _summed([_likelihood(self.losses.get(name), one) for name, one in sensed.items()])
+        return LinearizedSegment(end, slope, likelihood, gradient, information)
 
 
 def gap_and_slopes(group: Any, end: Arrays, start: Arrays) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -154,12 +160,13 @@ def gap_and_slopes(group: Any, end: Arrays, start: Arrays) -> tuple[jax.Array, j
     return value, slopes[:, :n], slopes[:, n:]
 
 
-def _likelihood(one: Innovation) -> Likelihood:
+def _likelihood(loss: RobustLoss | None, one: Innovation) -> Likelihood:
     def of_row(e: jax.Array, S: jax.Array) -> tuple[jax.Array, jax.Array]:
         root = jnp.linalg.cholesky(S)
         whitened = solve_triangular(root, e, lower=True)
         squares = whitened @ whitened
-        return 0.5 * (squares + e.size * jnp.log(2.0 * jnp.pi)) + jnp.sum(jnp.log(jnp.diag(root))), squares
+        cost = squares if loss is None else loss.cost(squares)
+        return 0.5 * (cost + e.size * jnp.log(2.0 * jnp.pi)) + jnp.sum(jnp.log(jnp.diag(root))), squares
 
     costs, squares = jax.vmap(of_row)(one.residual, one.S)
     return Likelihood(jnp.sum(jnp.where(one.present, costs, 0.0)), jnp.sum(squares))
@@ -169,18 +176,21 @@ def _summed(parts: list[Likelihood]) -> Likelihood:
     return jax.tree.map(lambda *a: sum(a[1:], a[0]), *parts)
 
 
-def _derivatives(e: jax.Array, S: jax.Array, by_e: jax.Array, by_S: jax.Array | None = None) -> Any:
-    """The gradient of $1/2 (e^T S^-1 e + log det S)$ and Fisher's information, by derivatives (m, q) and (m, m, q).
+def _derivatives(
+    loss: RobustLoss | None, e: jax.Array, S: jax.Array, by_e: jax.Array, by_S: jax.Array | None = None
+) -> Any:
+    """The gradient of $1/2 (rho(e^T S^-1 e) + log det S)$ and Fisher's information, by slopes (m, q) and (m, m, q).
 
     Source: Maine, Iliff, Identification of dynamic systems, NASA RP-1138 (1985); with the derivatives of S Gupta,
     Mehra, Computational aspects of maximum likelihood estimation, IEEE TAC 19 (1974), eq. 31.
     """
     root = jnp.linalg.cholesky(S)
     w, A = (solve_triangular(root, a, lower=True) for a in (e, by_e))
-    gradient, information = A.T @ w, A.T @ A
+    weight = jnp.ones((), e.dtype) if loss is None else loss.weight(w @ w)
+    gradient, information = weight * (A.T @ w), weight * (A.T @ A)
     if by_S is None:
         return gradient, information
     half = jax.vmap(lambda a: solve_triangular(root, a, lower=True), 2, 2)(by_S)
     B = jax.vmap(lambda a: solve_triangular(root, a.T, lower=True), 2, 2)(half)
-    gradient = gradient + 0.5 * (jnp.einsum("iiq->q", B) - jnp.einsum("i,ijq,j->q", w, B, w))
+    gradient = gradient + 0.5 * (jnp.einsum("iiq->q", B) - weight * jnp.einsum("i,ijq,j->q", w, B, w))
     return gradient, information + 0.5 * jnp.einsum("ijp,ijq->pq", B, B)

@@ -26,7 +26,7 @@ from ..records import Records
 from ..stochastic_model import OperatingPoint
 from .levenberg_marquardt import levenberg_marquardt
 from .linear_stages import LinearStage, Sensed, in_range, smoothed
-from .robust_losses import RobustLoss
+from .robust_losses import RobustLoss, checked_losses
 
 
 @jax.tree_util.register_dataclass
@@ -121,14 +121,8 @@ class BatchSmoother:
         tolerance: float | None = None,
     ) -> None:
         self.kalman = ErrorStateKalman(dynamics, measurements, method=method, max_step=max_step)
-        self.model, self.losses = self.kalman.model, dict(losses or {})
-        for name, loss in self.losses.items():
-            if name not in self.model.measurements:
-                raise ModelError(
-                    f"losses names {name!r}, but the measurements are {listed(self.model.measurements, name)}"
-                )
-            if not isinstance(loss, RobustLoss):
-                raise ModelError(f"losses[{name!r}] expects a RobustLoss such as HuberLoss(), got {loss!r}")
+        self.model = self.kalman.model
+        self.losses = checked_losses(losses, self.model.measurements)
         whole("max_iterations", max_iterations, 1, ModelError)
         if tolerance is not None:
             number("tolerance", tolerance, "a positive number", lambda size: size > 0.0, ModelError)

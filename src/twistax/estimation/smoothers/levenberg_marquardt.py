@@ -8,8 +8,10 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-#: The first damping after a step that raised the cost, the factor between two, and the largest.
-_DAMPING, _FACTOR, _MOST = 1e-2, 10.0, 1e8
+#: The first damping after a step that raised the cost, and the factor between two.
+_DAMPING, _FACTOR = 1e-2, 10.0
+#: A search ends where steps of this damping raise the cost.
+MOST_DAMPING = 1e8
 
 #: (value, damping) -> (new value, whether it is better, size of the step).
 Tried = Callable[[Any, jax.Array], tuple[Any, jax.Array, jax.Array]]
@@ -38,18 +40,22 @@ def levenberg_marquardt(start: Any, tried: Tried, tolerance: jax.Array, max_iter
 
     def advance(iterate: LeastSquaresIterate) -> LeastSquaresIterate:
         new, better, step = tried(iterate.value, iterate.damping)
-        down = jnp.where(iterate.damping > _DAMPING, iterate.damping / _FACTOR, zero)
-        up = jnp.maximum(iterate.damping * _FACTOR, jnp.asarray(_DAMPING, zero.dtype))
         return LeastSquaresIterate(
             jax.tree.map(lambda a, b: jnp.where(better, a, b), new, iterate.value),
-            jnp.where(better, down, up),
+            next_damping(iterate.damping, better),
             iterate.iterations + 1,
             step,
             (step < tolerance) & (iterate.damping == 0.0),
         )
 
     def going(iterate: LeastSquaresIterate) -> jax.Array:
-        return ~iterate.done & (iterate.iterations < max_iterations) & (iterate.damping < _MOST)
+        return ~iterate.done & (iterate.iterations < max_iterations) & (iterate.damping < MOST_DAMPING)
 
     first = LeastSquaresIterate(start, zero, jnp.zeros((), jnp.int32), zero + jnp.inf, jnp.zeros((), bool))
     return jax.lax.while_loop(going, advance, first)
+
+
+def next_damping(damping: jax.Array, better: jax.Array) -> jax.Array:
+    """It falls after a step that lowered the cost, to zero in the end, and rises after others."""
+    down = jnp.where(damping > _DAMPING, damping / _FACTOR, 0.0)
+    return jnp.where(better, down, jnp.maximum(damping * _FACTOR, _DAMPING))

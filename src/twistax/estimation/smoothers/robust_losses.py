@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping
 
 import jax
 import jax.numpy as jnp
 
-from ...checks import number
+from ...checks import listed, number
 from ...errors import ModelError
 
 
@@ -25,6 +26,17 @@ class RobustLoss(ABC):
     @abstractmethod
     def weight(self, s: jax.Array) -> jax.Array:
         """$rho'(s)$, by which the information of the measurement is multiplied."""
+
+
+def checked_losses(losses: Mapping[str, RobustLoss] | None, measurements: Iterable[str]) -> dict[str, RobustLoss]:
+    """Losses by measurement. Raises ModelError for one that is none, or of an unknown measurement."""
+    checked, known = dict(losses or {}), list(measurements)
+    for name, loss in checked.items():
+        if name not in known:
+            raise ModelError(f"losses names {name!r}, but the measurements are {listed(known, name)}")
+        if not isinstance(loss, RobustLoss):
+            raise ModelError(f"losses[{name!r}] expects a RobustLoss such as HuberLoss(), got {loss!r}")
+    return checked
 
 
 def _check(loss: RobustLoss, width: float) -> None:
