@@ -51,7 +51,7 @@ class StartUnits:
         if limits is not None and _reserve(self.parts) > _RESERVE:
             self.parts = self._fitted(staged, point, limits, self.parts)[1]
         self.border = np.max([sizes.border for sizes in self.parts], axis=0)
-        self.v = np.concatenate([*self._by_stage(staged), self.border])
+        self.v = np.concatenate([*self._by_stage(staged), self.border[staged.border.unknown]])
         of_stages = at.by_run(self.v)
         self.rows: Array = np.zeros(0)
         self.equalities: Array = np.zeros(0)

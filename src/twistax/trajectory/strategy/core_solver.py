@@ -74,7 +74,8 @@ class CoreSolver:
         self.judge, self.measure = Judge(close, staged), Measure(staged, close, tolerance)
         stages = staged.transcription.stages
         self.largest_step = np.where(staged.turning, _TURN, np.inf)
-        self.largest_step[stages.variables - stages.parameters + np.arange(staged.border.phases)] = -_CHANGE
+        free_times = int(staged.border.free[: staged.border.phases].sum())
+        self.largest_step[stages.variables - stages.parameters + np.arange(free_times)] = -_CHANGE
         scaled = _CLOSER * tolerance / COST
         self._exactly = {"tolerance": scaled, "complementarity": scaled, "violation": _CLOSER * tolerance}
         self._exactly |= {"barrier_least": _LEAST * tolerance, "row_relaxation": 0.0}
