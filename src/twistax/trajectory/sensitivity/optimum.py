@@ -195,7 +195,7 @@ class OptimalityConditions:
         return self.shooting.border.complete(shared, self._numbers.limits(data))
 
     def _split(self, values: Any, width: int) -> tuple[Any, Any, Any, Any]:
-        """Of numbers in the order of stages those of nodes, of controls, of shared unknowns, and what it is solved for."""
+        """Of numbers in the order of stages nodes, controls, shared unknowns, and what it is solved for."""
         count, m, g = self.shooting.intervals, self.shooting.m, self.staged.border.unknowns
         body, last, shared, numbers = jnp.split(values, np.cumsum([count * (width + m), width, g]))
         body = body.reshape(count, width + m)

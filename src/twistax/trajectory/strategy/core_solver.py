@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import functools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -174,9 +173,10 @@ class CoreSolver:
                     return False
                 del left[0]
                 point = self.staged.point(z.copy())
-                measured = functools.partial(StartUnits, self.staged, point, used.instance.limits, before=used.units)
-                if measured(with_rows=False).distance(used.units) > np.log(_MISFIT):
-                    fresh = _Start(point, used.instance, measured())
+                units = StartUnits(self.staged, point, used.instance.limits, before=used.units, with_rows=False)
+                if units.distance(used.units) > np.log(_MISFIT):
+                    units.measure_rows(self.staged)
+                    fresh = _Start(point, used.instance, units)
                 return fresh is not None
 
             check.extra = is_misfit
