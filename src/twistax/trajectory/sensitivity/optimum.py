@@ -107,7 +107,8 @@ class OptimalityConditions:
         self._part = core.staged.parts[0]
         self._numbers: Numbers = core.staged.numbers
         places = self._numbers.places(names["params"], names["final"])
-        self._places = np.append(places, self._numbers.final_time[: len(names["final_time"])])
+        places = np.append(places, self._numbers.final_time[: len(names["final_time"])])
+        self._places = places.astype(np.int32)  # JAX without double precision has no others
         self._data = self._numbers.vector(instance)
         self._by_node = {name: instance.params[name] for name in problem.by_node.leaves}
         functions = _WithNumbers(self.shooting, self._numbers, self._places)
