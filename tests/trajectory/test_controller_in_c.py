@@ -56,12 +56,12 @@ def test_it_allocates_nothing_and_has_the_size_that_the_header_states(tmp_path: 
     header = files.header.read_text()
     size = workspace(header)
     assert "at most 3 iterations" in header
-    assert size < 21_000  # derivatives are taken in memory of the linear system, few intervals at a time
+    assert size < 19_500  # derivatives are taken in memory of the linear system, few intervals at a time
     check = tmp_path / "size.c"
     check.write_text(f'#include "loop.h"\ntypedef char exact[sizeof(loop_controller) == {size} ? 1 : -1];\nexact x;\n')
     built(["-c", str(check), "-o", str(tmp_path / "size.o")])
     fast = workspace(controller.to_c(tmp_path / "fast", name="loop").header.read_text())
-    assert 1.2 * size < fast < 256 * 1024  # all intervals together
+    assert 1.1 * size < fast < 256 * 1024  # all intervals together
     assert workspace(controller.to_c(tmp_path / "less", name="loop", memory=fast - 1).header.read_text()) == size
 
 

@@ -163,6 +163,7 @@ class Transcription:
         path_places: of each phase (intervals, substeps + 1, rows), the number of each path row among the inequalities,
             or among the equalities, of all stages; -1 where it is neither.
         node_places: the same of the conditions of nodes.
+        data: numbers that kernels read.
         cost_slopes: of each phase (stages, parameters), what each stage adds to the gradient of the cost by parameters,
             of the last Jacobians.
     """
@@ -190,7 +191,7 @@ class Transcription:
         self.path_places: list[Array] = [path for path, _ in places]
         self.node_places: list[list[Array]] = [nodes for _, nodes in places]
         self.cost_slopes = [np.zeros((len(phase.controls), parameters)) for phase in phases]
-        self._data = np.array(data, float)
+        self.data = np.array(data, float)
         #: By which rows are tightened: those of the path, then those of each node.
         self._margins = [[np.zeros(rows.shape) for rows in (phase.path, *phase.conditions)] for phase in phases]
         described = (self._described(k, *of_phase) for k, of_phase in enumerate(numbers))
@@ -221,7 +222,7 @@ class Transcription:
 
     def set_data(self, data: Array) -> None:
         """Set other numbers for the kernels."""
-        self._data[:] = data
+        self.data[:] = data
         for structure in self._structures:  # integrated states are out of date
             ctypes.c_double.from_address(structure.work).value = 0.0
 
@@ -334,8 +335,8 @@ class Transcription:
             parameters_z=stages.points - parameters,
             parameters_v=stages.variables - parameters,
             **{name: self._array(np.asarray(a, float)) for name, a in numbers.items()},
-            data=int(self._data.ctypes.data),
-            node_rows=int(self._data.ctypes.data) + 8 * phase.node_rows[0],
+            data=int(self.data.ctypes.data),
+            node_rows=int(self.data.ctypes.data) + 8 * phase.node_rows[0],
             node_width=phase.node_rows[1],
             place=codes[0],
             margins=margins[0],

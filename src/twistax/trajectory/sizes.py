@@ -93,7 +93,7 @@ class SizeMeter:
         """Sizes of states, controls and shared unknowns.
 
         Args:
-            moved: (intervals, n, n + m + g) derivatives of the ends of intervals.
+            moved: (intervals, n, n + m + unknowns of the border) derivatives of the ends of intervals.
             gaps: (intervals, n) how far intervals end from where the next one starts.
             least: values of states and controls that are rounding.
             with_reserve: whether the reserve of limited controls is measured.
@@ -110,7 +110,7 @@ class SizeMeter:
         u, box = self._of_controls(us)
         b, free = np.abs(point.border), slice(shooting.border.phases, None)
         b[free] = np.where(np.isfinite(self._half_limits), np.maximum(b, self._half_limits), b)[free]
-        # (n, n + m + g): how far unknowns move states, over the horizon.
+        # (n, as many): how far unknowns move states, over the horizon.
         drift, horizon = 0.5 * np.abs(gaps).sum(axis=0), np.abs(moved).sum(axis=0)
         through, rounding = horizon[:, n : n + m], _ROUNDING * largest
         unknown, between = np.isnan(u), self._between_ends(values)
@@ -138,7 +138,8 @@ class SizeMeter:
             if number > 0 and all(np.array_equal(a, c, equal_nan=True) for a, c in zip(before, (d, u))):
                 break
         # A parameter that is zero counts with what moves a state by its size.
-        of_shared = np.fmin.reduce(d[:, None] / horizon[:, n + m :], axis=0, initial=np.inf)
+        of_shared = np.full(len(b), np.inf)
+        of_shared[shooting.border.unknown] = np.fmin.reduce(d[:, None] / horizon[:, n + m :], axis=0, initial=np.inf)
         b = np.where((b > 0.0) | ~np.isfinite(of_shared), b, of_shared)
         d = np.where(np.isnan(d) & (largest > 0.0), largest, d)
         d = np.where(np.isnan(d) & np.isfinite(most), most, d)

@@ -45,22 +45,18 @@ class StartUnits:
         z = staged.flat(point)
         self._staged_at = z, staged.coordinates(z)
         at = Evaluated(staged.transcription, z)
+        self._at: Evaluated | None = at  # until rows are measured
         self._least = None if before is None else [sizes.rounding() for sizes in before.parts]
-        self.parts: list[Sizes] = self._measured(staged, point, at, at.differentiate(), limits is not None)
+        self.parts: list[Sizes] = self._measured(staged, point, at, at.differentiate(), self._is_fitted(staged, limits))
         self._first = self.parts
         if limits is not None and _reserve(self.parts) > _RESERVE:
             self.parts = self._fitted(staged, point, limits, self.parts)[1]
         self.border = np.max([sizes.border for sizes in self.parts], axis=0)
-        self.v = np.concatenate([*self._by_stage(staged), self.border])
-        of_stages = at.by_run(self.v)
+        self.v = np.concatenate([*self._by_stage(staged), self.border[staged.border.unknown]])
         self.rows: Array = np.zeros(0)
         self.equalities: Array = np.zeros(0)
         if with_rows:
-            self.rows, self.equalities = self._of_rows(staged, at, of_stages)
-            for part, places, sizes in zip(staged.parts, staged.transcription.path_places, self.parts):
-                for row, unit in part.meter.of_norm_bounds(sizes):
-                    at_row = places[..., row][part.phase.path[..., row] == INEQUALITY]
-                    self.rows[at_row] = np.minimum(self.rows[at_row], unit)
+            self.measure_rows(staged)
         steps = self._followed(at)
         change_of_cost = np.abs(at.gradient) @ steps + 0.5 * at.curvatures(at.H, at.by_run(steps)).sum()
         if not change_of_cost > 0.0:  # no slope and no curvature there: what a whole move changes
@@ -70,8 +66,16 @@ class StartUnits:
         self.cost = float(change_of_cost) if np.isfinite(change_of_cost) and change_of_cost > 0.0 else 1.0
 
     @staticmethod
-    def _of_rows(staged: Staged, at: Evaluated, of_stages: list[Array]) -> tuple[Array, Array]:
-        """By how much a move of all unknowns by their units changes inequalities and equalities."""
+    def _is_fitted(staged: Staged, limits: Array | None) -> bool:
+        """Whether there are durations that may be too long."""
+        return limits is not None and bool(staged.border.free[: staged.border.phases].any())
+
+    @np.errstate(all="ignore")
+    def measure_rows(self, staged: Staged) -> None:
+        """Measure rows: by how much a move of all unknowns by their units changes inequalities and equalities."""
+        at, self._at = self._at, None
+        assert at is not None
+        of_stages = at.by_run(self.v)
         kinds = ((at.Jh, at.stages.inequalities), (at.Je, at.stages.equalities))
         changes = [at.changes(*kind, of_stages) for kind in kinds]
         for places in staged.places_alone:
@@ -81,7 +85,11 @@ class StartUnits:
             curvatures = at.curvatures(at.bends(*weights), of_stages)
             for change, of_rows, at_place in zip(changes, staged.stages_of_rows, places):
                 change[at_place] += 0.5 * curvatures[of_rows[at_place]]
-        return staged.levelled_rows(*changes)
+        self.rows, self.equalities = staged.levelled_rows(*changes)
+        for part, places, sizes in zip(staged.parts, staged.transcription.path_places, self.parts):
+            for row, unit in part.meter.of_norm_bounds(sizes):
+                at_row = places[..., row][part.phase.path[..., row] == INEQUALITY]
+                self.rows[at_row] = np.minimum(self.rows[at_row], unit)
 
     def _followed(self, at: Evaluated) -> Array:
         """Moves by the units, shorter where a state at the end of the interval moves by more than its unit."""

@@ -27,7 +27,7 @@ def test_rollouts_by_the_core_are_those_of_the_integrator(options: dict[str, Any
     result = problem.solve()
     core, given = problem.core(1e-6, *problem.started()[:2]), problem.started().instance
     data = core.staged.numbers.vector(given)
-    rollout = CoreRollout(core.staged.parts[0], problem.transcription.rolling(12), core.staged.border.size, data)
+    rollout = CoreRollout(core.staged.parts[0], problem.transcription.rolling(12), core.staged.numbers, data)
     found, expected = rollout.states(result.warm.point), result.replay(steps=12)
     for name, values in expected.xs.items():
         np.testing.assert_allclose(found[name], values, atol=1e-11)

@@ -138,7 +138,7 @@ def test_the_running_cost_is_exact_for_polynomials(substeps: int, power: int) ->
     )
     point, given = (
         Iterate({"x": np.zeros(3)}, np.zeros((2, 1)), np.array([1.3])),
-        Instance({}, {"x": np.zeros(())}, np.ones((1, 2))),
+        Instance({}, {"x": np.zeros(())}, np.full((1, 2), 1.3)),
     )
     cost = core_values(staged_of(problem, given), point, given).cost
     np.testing.assert_allclose(cost, 1.3 ** (power + 1) / (power + 1), rtol=1e-14)

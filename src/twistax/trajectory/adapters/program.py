@@ -6,7 +6,7 @@ Unknowns and constraints stand stage by stage, as solvers that know stages want 
     g = [x_1 - F_0(x_0, u_0, p), h_0, e_0, ..., h_N, e_N].
 
 Flat states, controls and p are the numbers themselves, states on other groups steps d_k in charts at points that stay.
-p is what all stages share, the durations first, or a copy of it for each stage, p_k, where a solver wants stages that
+p is what all stages share, free durations first, or a copy of it for each stage, p_k, where a solver wants stages that
 share nothing. Unknowns that cannot move are left out.
 """
 
@@ -175,7 +175,7 @@ class NonlinearProgram:
         self._x_units, self._row_units, self._cost_unit = np.ones(self.size), np.ones(self.count), 1.0
         if units is not None:
             self._x_units, self._cost_unit = self._of_v(units.v), units.cost
-            copies = np.broadcast_to(units.border, self._copy_rows.shape)
+            copies = np.broadcast_to(units.border[staged.border.unknown], self._copy_rows.shape)
             self._row_units = self._of_rows(staged.after(units.v), units.rows, units.equalities, copies)
         lower, upper = (self._of_v(a) / self._x_units for a in staged.limits(self._v, instance))
         repeated = np.setdiff1d(self._copies[1:], self._copies[0])  # copies are equal: bounds of one are enough

@@ -205,18 +205,28 @@ class SquaresHessian:
         self._shooting, self._point = shooting, point_of(shooting)
 
     def running(self, known: Known, params: Any, terms: Sequence[Any]) -> jax.Array:
-        """The Hessian of the running cost times T in q = [eta, u, b]; the last weight is that of the cost."""
+        """The Hessian of the running cost times T in the unknowns of q = [eta, u, b]; the last weight is that of the
+        cost.
+        """
         q, share, base = known[Argument.Z], known[Argument.SHARE][0], self._point.split(known[Argument.BASE])
-        return known[Argument.WEIGHTS][-1] * self._hessian(q, share, base, params, terms, jnp.sqrt).reshape(-1)
+        return known[Argument.WEIGHTS][-1] * self._hessian(q, share, base, params, terms, jnp.sqrt)[
+            self._unknown(0)
+        ].reshape(-1)
 
     def final(self, known: Known, params: Any, terms: Sequence[Any]) -> jax.Array:
-        """The Hessian of the final cost in z = [eta, b]."""
+        """The Hessian of the final cost in the unknowns of z = [eta, b]."""
         n, m, z = self._shooting.n, self._shooting.m, known[Argument.Z]
         q = jnp.concatenate([z[:n], jnp.zeros(m, z.dtype), z[n:]])
-        columns = np.array([*range(n), *range(n + m, len(q))])
         base = self._point.split(known[Argument.BASE])
         hessian = self._hessian(q, jnp.ones((), z.dtype), base, params, terms, jnp.ones_like)
-        return known[Argument.WEIGHTS][-1] * hessian[np.ix_(columns, columns)].reshape(-1)
+        return known[Argument.WEIGHTS][-1] * hessian[self._unknown(m)].reshape(-1)
+
+    def _unknown(self, left_out: int) -> Any:
+        """The places of rows and columns of the unknowns of q, without so many controls."""
+        n, m = self._shooting.n, self._shooting.m
+        shared = n + m + np.flatnonzero(self._shooting.border.unknown)
+        columns = np.concatenate([np.arange(n + m - left_out), shared])
+        return np.ix_(columns, columns)
 
     def _hessian(
         self, q: jax.Array, share: jax.Array, base: Any, params: Any, terms: Sequence[Any], root: Any

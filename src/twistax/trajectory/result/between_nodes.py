@@ -51,7 +51,7 @@ def hold_between_nodes(
     """
     data = staged.numbers.vector(instance)
     rollouts = [
-        CoreRollout(values, part.transcription.rolling(_SAMPLES), staged.border.size, data)
+        CoreRollout(values, part.transcription.rolling(_SAMPLES), staged.numbers, data)
         for values, part in zip(staged.parts, problem.parts, strict=True)
     ]
     shooting, parts = problem.shooting, list(zip(problem.parts, problem.shooting.segments, strict=True))

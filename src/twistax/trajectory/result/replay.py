@@ -119,7 +119,7 @@ def _by_the_core(result: Any, steps: int) -> dict[str, Array]:
     point = Iterate(xs, np.concatenate([np.zeros((problem.nodes - 1, 0)), *columns], axis=1), border)
     data = staged.numbers.vector(started.instance)
     rolling = problem.transcription.rolling(steps)
-    return CoreRollout(staged.parts[0], rolling, staged.border.size, data).states(point)
+    return CoreRollout(staged.parts[0], rolling, staged.numbers, data).states(point)
 
 
 def _start(result: Any) -> dict[str, Array]:

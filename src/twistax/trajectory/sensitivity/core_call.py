@@ -1,8 +1,8 @@
 """The solve of a problem of one phase as one call of the core, which programs of JAX contain.
 
 It starts at the optimum of the problem as it was stated, in the units of that optimum, with the new values in place.
-These values do not change its program: parameters and final states are numbers that kernels read, initial
-states and a fixed final time are bounds.
+These values do not change its program: parameters, final states and a fixed final time are numbers that kernels
+read, initial states are bounds.
 """
 
 from __future__ import annotations
@@ -103,9 +103,8 @@ class CoreCall:
                 at = columns[fixed]
                 lower, upper = lower.at[at].set(v[at]), upper.at[at].set(v[at])
         if final_time is not None:
-            border = staged.border.size
             final_time = jnp.where(final_time > 0.0, final_time, jnp.nan)  # as `problem.solve` refuses it
-            z, v, lower, upper = (a.at[len(a) - border].set(final_time) for a in (z, v, lower, upper))
+            data = data.at[staged.numbers.final_time].set(final_time)
         return SolveInputs(data, z, v, lower, upper)
 
     def judged(self, core: CoreSolver, values: Mapping[str, Any], instance: Instance, mesh_tolerance: float) -> Status:

@@ -1,8 +1,8 @@
 """A solution as numbers, and how it moves with parameters and ends: the core's factors at it.
 
-What a problem is solved for joins the unknowns that all stages share, each fixed by its bounds, as a first state and a
-final time are. A change of them moves all the others so that the first-order conditions still hold: with K the matrix
-of the conditions' derivatives,
+What a problem is solved for joins the unknowns that all stages share, each fixed by its bounds, as a first state is. A
+change of them moves all the others so that the first-order conditions still hold: with K the matrix of the conditions'
+derivatives,
 
     K_free (dv, dlam, dy, dye) = 0,   dv_fixed = the change of what is fixed.
 
@@ -89,6 +89,7 @@ class OptimalityConditions:
 
     Args:
         core: the problem's solver.
+        names: by kind; "final_time" has a name where a fixed final time is such an unknown, too.
         instance: parameters, ends and limits of the problem as stated.
         units: of its unknowns, rows and objective.
     """
@@ -105,13 +106,15 @@ class OptimalityConditions:
         self._jax_values = JaxValues(problem.shooting)
         self._part = core.staged.parts[0]
         self._numbers: Numbers = core.staged.numbers
-        self._places = self._numbers.places(names["params"], names["final"])
+        places = self._numbers.places(names["params"], names["final"])
+        places = np.append(places, self._numbers.final_time[: len(names["final_time"])])
+        self._places = places.astype(np.int32)  # JAX without double precision has no others
         self._data = self._numbers.vector(instance)
         self._by_node = {name: instance.params[name] for name in problem.by_node.leaves}
         functions = _WithNumbers(self.shooting, self._numbers, self._places)
         kernels = functions.kernels(dict(problem.node_rows))
         phase = dataclasses.replace(self._part.phase, kernels=kernels)
-        shared = core.staged.border.size + len(self._places)
+        shared = core.staged.border.unknowns + len(self._places)
         self._transcription = Transcription([phase], shared, self._data)
         stages = self._transcription.stages
         rows, equalities = sum(stages.inequalities), sum(stages.equalities)
@@ -175,22 +178,29 @@ class OptimalityConditions:
             return jnp.zeros(())
         numbers = self._numbers
         instance = Instance(numbers.params(data), numbers.final(data, 0), numbers.limits(data))
-        point = self.point(jnp.append(z, jnp.zeros(len(self._places), z.dtype)))
+        point = self.point(jnp.append(z, data[self._places]))
         rows = self._jax_values(point, instance).rows[self._determined]
         violated = jnp.where(self.shooting.equality[self._determined], jnp.abs(rows), rows)
         return jnp.max(violated / jnp.asarray(self._sizes_of_decided, rows.dtype), initial=0.0)
 
     def point(self, z: Any) -> Iterate:
         """The point of z."""
-        xs, us, border, _ = self._split(z, self._part.point.size)
-        return Iterate(self._part.point.split(xs), us, border)
+        xs, us, shared, values = self._split(z, self._part.point.size)
+        return Iterate(self._part.point.split(xs), us, self._border(shared, self._changed(values)))
+
+    def _changed(self, values: Any) -> Any:
+        """The numbers of kernels with other values of what it is solved for."""
+        return _replaced(jnp.asarray(self._data, values.dtype), self._places, values)
+
+    def _border(self, shared: Any, data: Any) -> Any:
+        return self.shooting.border.complete(shared, self._numbers.limits(data))
 
     def _split(self, values: Any, width: int) -> tuple[Any, Any, Any, Any]:
-        """Of numbers in the order of stages those of nodes, of controls, of the border, and what it is solved for."""
-        count, m, g = self.shooting.intervals, self.shooting.m, self.staged.border.size
-        body, last, border, numbers = jnp.split(values, np.cumsum([count * (width + m), width, g]))
+        """Of numbers in the order of stages nodes, controls, shared unknowns, and what it is solved for."""
+        count, m, g = self.shooting.intervals, self.shooting.m, self.staged.border.unknowns
+        body, last, shared, numbers = jnp.split(values, np.cumsum([count * (width + m), width, g]))
         body = body.reshape(count, width + m)
-        return jnp.concatenate([body[:, :width], last[None]]), body[:, width:], border, numbers
+        return jnp.concatenate([body[:, :width], last[None]]), body[:, width:], shared, numbers
 
     def _joined(self, nodes: Any, us: Any, *shared: Any) -> Any:
         body = jnp.concatenate([nodes[:-1], us], axis=1)
@@ -204,21 +214,24 @@ class OptimalityConditions:
         return self._joined(nodes, *(a + b for a, b in zip(rest, steps)))
 
     def fixed_step(
-        self, z: Any, params: Mapping[str, Any], initial: Mapping[str, Any], final: Mapping[str, Any], times: Any
+        self,
+        z: Any,
+        params: Mapping[str, Any],
+        initial: Mapping[str, Any],
+        final: Mapping[str, Any],
+        final_time: Mapping[str, Any],
     ) -> Any:
         """The step of all that is fixed from z to these values; those that are NaN stay. Zero elsewhere."""
         phase, point = self.shooting, self.point(z)
-        d, u, border = jnp.zeros((phase.nodes, phase.n)), jnp.zeros_like(point.us), jnp.zeros_like(point.border)
+        d, u, shared = jnp.zeros((phase.nodes, phase.n)), jnp.zeros_like(point.us), jnp.zeros(phase.border.unknowns)
         for name, value in initial.items():
             here, group = point.xs[name][0], phase.dynamics.group
             step = group.factors[name].difference(here, jnp.where(jnp.isnan(value), here, value))
             d = d.at[0, group.slices[name]].set(jnp.ravel(step))
-        if times is not None:
-            border = border.at[0].set(times - point.border[0])
         numbers = self._split(z, self._part.point.size)[3]
-        values = [jnp.ravel(part[name]) for part in (params, final) for name in sorted(part)]
+        values = [jnp.ravel(part[name]) for part in (params, final, final_time) for name in sorted(part)]
         step = jnp.concatenate([jnp.zeros(0), *values]) - numbers
-        return jnp.where(self.fixed, self._joined(d, u, border, jnp.where(jnp.isnan(step), 0.0, step)), 0.0)
+        return jnp.where(self.fixed, self._joined(d, u, shared, jnp.where(jnp.isnan(step), 0.0, step)), 0.0)
 
     # ---- the linear system ----------------------------------------------------------------------------------------
 
@@ -293,12 +306,13 @@ class OptimalityConditions:
         """Cost, defects and rows at z, a step away in the charts of its nodes."""
         xs, *rest = self._split(z, self._part.point.size)
         d, *steps = self._split(v, self.shooting.n)
-        us, border, changed = (a + b for a, b in zip(rest, steps))
-        data = _replaced(jnp.asarray(self._data, changed.dtype), self._places, changed)
+        us, shared, values = (a + b for a, b in zip(rest, steps))
+        data = self._changed(values)
         numbers = self._numbers
         by_node = {name: jnp.asarray(rows, data.dtype) for name, rows in self._by_node.items()}
         instance = Instance(numbers.params(data) | by_node, numbers.final(data, 0), numbers.limits(data))
-        values = self._jax_values(Iterate(self._part.point.split(xs), us, border), instance, d)
+        point = Iterate(self._part.point.split(xs), us, self._border(shared, data))
+        values = self._jax_values(point, instance, d)
         return values.cost, values.defects.reshape(-1), *(values.rows[places] for places in self._rows)
 
 

@@ -131,7 +131,7 @@ class _Differentiable:
         theta = _Theta(_by_name("params", params), _by_name("initial", initial), _by_name("final", final), times)
         if final_time is not None and self._problem.border.free[0]:
             raise TrajectoryError(f"solution: the final time is free, and no argument; got {short(final_time)}")
-        names = tuple(sorted(theta.params)), tuple(sorted(theta.final))  # as JAX has the keys of a dict
+        names = tuple(tuple(sorted(part)) for part in (theta.params, theta.final, theta.final_time))  # as JAX has keys
         if names not in self._of:
             self._of[names] = _SolutionFor(self._reference, self._options, names)
         return self._of[names](theta)
@@ -152,7 +152,7 @@ class _Differentiable:
 
 
 class _SolutionFor:
-    """The solution as a function of parameters and final states of these names."""
+    """The solution as a function of parameters, final states and a final time of these names."""
 
     def __init__(self, reference: _Reference, options: dict[str, Any], names: tuple[tuple[str, ...], ...]) -> None:
         self._problem, self._reference, self._options, self._names = reference.problem, reference, options, names
@@ -209,10 +209,10 @@ class _SolutionFor:
     @functools.cached_property
     def _conditions(self) -> OptimalityConditions:
         """The problem with these names among its unknowns; its kernels compile once."""
-        params, final = self._names
         _, core, instance, call, _ = self._reference
         with in_double():
-            return OptimalityConditions(self._problem, core, instance, {"params": params, "final": final}, call.units)
+            names = dict(zip(("params", "final", "final_time"), self._names))
+            return OptimalityConditions(self._problem, core, instance, names, call.units)
 
     # ---- the solve ----------------------------------------------------------------------------------------------
 
@@ -284,8 +284,7 @@ class _SolutionFor:
         tangents = jax.tree.map(lambda a: known * a, tangents)  # also where an argument is NaN
 
         def fixed(theta: _Theta) -> Any:
-            times = theta.final_time.get("final_time")
-            return conditions.fixed_step(optimum.z, theta.params, theta.initial, theta.final, times)
+            return conditions.fixed_step(optimum.z, *theta)
 
         step = jax.jvp(fixed, (theta,), (tangents,))[1]
         side = Move(step, *(jnp.zeros(size) for size in conditions.sizes[1:]))

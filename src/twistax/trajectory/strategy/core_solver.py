@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import functools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -74,7 +73,8 @@ class CoreSolver:
         self.judge, self.measure = Judge(close, staged), Measure(staged, close, tolerance)
         stages = staged.transcription.stages
         self.largest_step = np.where(staged.turning, _TURN, np.inf)
-        self.largest_step[stages.variables - stages.parameters + np.arange(staged.border.phases)] = -_CHANGE
+        free_times = int(staged.border.free[: staged.border.phases].sum())
+        self.largest_step[stages.variables - stages.parameters + np.arange(free_times)] = -_CHANGE
         scaled = _CLOSER * tolerance / COST
         self._exactly = {"tolerance": scaled, "complementarity": scaled, "violation": _CLOSER * tolerance}
         self._exactly |= {"barrier_least": _LEAST * tolerance, "row_relaxation": 0.0}
@@ -173,9 +173,10 @@ class CoreSolver:
                     return False
                 del left[0]
                 point = self.staged.point(z.copy())
-                measured = functools.partial(StartUnits, self.staged, point, used.instance.limits, before=used.units)
-                if measured(with_rows=False).distance(used.units) > np.log(_MISFIT):
-                    fresh = _Start(point, used.instance, measured())
+                units = StartUnits(self.staged, point, used.instance.limits, before=used.units, with_rows=False)
+                if units.distance(used.units) > np.log(_MISFIT):
+                    units.measure_rows(self.staged)
+                    fresh = _Start(point, used.instance, units)
                 return fresh is not None
 
             check.extra = is_misfit

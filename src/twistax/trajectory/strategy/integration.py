@@ -19,6 +19,7 @@ from ..transcription.iterate import Instance, Iterate
 from ..transcription.methods import Collocation, MultipleShooting
 from ..transcription.staged import Staged
 from ..transcription.staged_phase import StagedPhase
+from ..transcription.vectors import Numbers
 
 #: How many moves of all unknowns there are: in one of them changes may cancel.
 _MOVES = 4
@@ -53,9 +54,9 @@ class CloseIntegration:
     def __init__(self, staged: Staged, problems: Sequence[Any], instance: Instance) -> None:
         self._staged, data = staged, staged.numbers.vector(instance)
         self._phases = [_looking(part, p.transcription.finer.scheme) for part, p in zip(staged.parts, problems)]
-        self._transcription = Transcription(self._phases, staged.border.size, data)
+        self._transcription = Transcription(self._phases, staged.border.unknowns, data)
         at_nodes = [_looking(part, _AT_NODES.scheme) for part in staged.parts]
-        self._at_nodes = Transcription(at_nodes, staged.border.size, data)
+        self._at_nodes = Transcription(at_nodes, staged.border.unknowns, data)
         self._signs = np.zeros((0, 0))
 
     def at(self, z: Array, instance: Instance) -> tuple[Closely, ...]:
@@ -135,14 +136,14 @@ class CoreRollout:
     Args:
         part: the phase.
         transcription: what integrates an interval; its substeps are the samples.
-        parameters: entries of the border.
-        data: the numbers of a solve.
+        numbers: where the numbers of a solve stand.
+        data: these.
     """
 
     def __init__(
-        self, part: StagedPhase, transcription: MultipleShooting | Collocation, parameters: int, data: Array
+        self, part: StagedPhase, transcription: MultipleShooting | Collocation, numbers: Numbers, data: Array
     ) -> None:
-        self._part, self._samples, self._data = part, int(transcription.substeps), data
+        self._part, self._samples, self._numbers, self._data = part, int(transcription.substeps), numbers, data
         self._start, self._width = np.zeros(1), np.ones(1)
         phase, (_, end) = part.phase, part.phase.kernels.nodes[-1]
         alone = dataclasses.replace(
@@ -155,7 +156,7 @@ class CoreRollout:
             conditions=[np.full(len(phase.conditions[-1]), NONE)],
             join=None,
         )
-        self._transcription = Transcription([alone], parameters, data)
+        self._transcription = Transcription([alone], part.shooting.border.unknowns, data)
 
     def states(self, point: Iterate) -> dict[str, Array]:
         """All states at the sample times, (intervals * samples + 1, ...), from the first node of the phase."""
@@ -175,8 +176,9 @@ class CoreRollout:
         """
         shooting = self._part.shooting
         self._start[0], self._width[0] = shooting.mesh.shares[number], shooting.mesh.widths[number]
-        self._transcription.set_data(self._data)  # what was integrated is for another interval
-        Evaluated(self._transcription, np.concatenate([base, u[: shooting.m], end, border]))
+        # What was integrated is for another interval.
+        self._transcription.set_data(self._numbers.at_times(self._data, border))
+        Evaluated(self._transcription, np.concatenate([base, u[: shooting.m], end, border[shooting.border.unknown]]))
         eta = np.stack([self._transcription.states(0, k)[0] for k in range(1, self._samples + 1)])
         retract = self._part.phase.kernels.retract
         if retract is None:

@@ -95,12 +95,13 @@ def _modes(staged: Staged, point: Iterate, instance: Instance, least: Sequence[f
         least: of each phase, a radius within which eigenvalues may count as zero.
     """
     staged.set_instance(instance)
-    data, every, border = staged.numbers.vector(instance), list[Array](), np.asarray(point.border)
+    data, every = staged.numbers.vector(instance), list[Array]()
+    shared = np.asarray(point.border)[staged.border.unknown]
     for part, segment, radius in zip(staged.parts, staged.transcribed.segments, least or [0.0] * len(staged.parts)):
         phase, here, n, size = part.phase, segment.of(point), part.shooting.n, part.shooting.size
         count = phase.intervals
         arguments = {
-            Argument.Z: np.concatenate([np.zeros((count, n)), here.us, np.tile(border, (count, 1))], axis=1),
+            Argument.Z: np.concatenate([np.zeros((count, n)), here.us, np.tile(shared, (count, 1))], axis=1),
             Argument.SHARE: phase.starts[:, None],
             Argument.BASE: part.point.joined(here.xs, 1)[:-1],
             Argument.DATA: data[None],

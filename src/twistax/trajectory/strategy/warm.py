@@ -65,7 +65,7 @@ class WarmStart:
             instance = self.problem.started(begin=point).instance.with_params(self.params)
             staged = self.problem.core(1e-6, point, instance).staged
             last, data = staged.parts[0], staged.numbers.vector(instance)
-            rollout = CoreRollout(last, problem.transcription, staged.border.size, data)
+            rollout = CoreRollout(last, problem.transcription, staged.numbers, data)
             nodes = list(last.point.joined(point.xs, 1))
             for _ in range(steps):
                 ends = rollout.interval(shooting.intervals - 1, nodes[-1], rest, nodes[-1], np.ravel(point.border))

@@ -72,6 +72,22 @@ class Border:
     def row_names(self) -> list[str]:
         return [f"{self.names[i]}: {('lower', 'upper')[side]} limit" for i, side in self.finite]
 
+    @functools.cached_property
+    def unknown(self) -> Array:
+        """(g,) which entries are unknowns of the solver: all but fixed durations."""
+        return self.free | (np.arange(self.size) >= self.phases)
+
+    @property
+    def unknowns(self) -> int:
+        return int(self.unknown.sum())
+
+    def complete(self, unknowns: Any, limits: Any) -> Any:
+        """b from its unknowns, and from limits (g, 2), which are the values of fixed durations."""
+        of_times, xp = self.unknown[: self.phases], np if isinstance(unknowns, np.ndarray) else jnp
+        places = np.cumsum(of_times) - 1
+        times = [unknowns[i : i + 1] if known else limits[k, :1] for k, (i, known) in enumerate(zip(places, of_times))]
+        return xp.concatenate([*times, unknowns[int(of_times.sum()) :]])
+
     def rows(self, b: jax.Array, limits: jax.Array) -> jax.Array:
         """The residuals of the limits, <= 0."""
         rows = [(limits[i, 0] - b[i], b[i] - limits[i, 1])[side] for i, side in self.finite]

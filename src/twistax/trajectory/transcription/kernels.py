@@ -72,7 +72,8 @@ class _LeafPlaces:
         self.boxes = tuple((self._places[b.leaf], b.entry, b.sign) for b in shooting.path.bounds)
         controls = tuple(part.stop - part.start for part in local.controls.slices.values())
         free = tuple(box.shape for box in border.boxes)
-        self.key = (group_key(shooting), controls, free, border.phases, shooting.phase, numbers.key, local.sign)
+        shared = (free, tuple(border.unknown[: border.phases]), shooting.phase)
+        self.key = (group_key(shooting), controls, *shared, numbers.key, local.sign)
 
     def token(self, leaf: Leaf) -> Hashable:
         """What stands for a leaf; None where it counts with all that it has."""
@@ -110,7 +111,7 @@ class PhaseFunctions:
     def kernels(self, nodes: Mapping[int, Conditions]) -> PhaseKernels:
         """All of them, compiled."""
         phase, exprs, group = self._shooting, self._shooting.local.expressions, group_key(self._shooting)
-        n, of_step, size = phase.n, phase.n + phase.border.size, self.point.size
+        n, of_step, size = phase.n, phase.n + phase.border.unknowns, self.point.size
         fixed = {Argument.BASE: size, Argument.DATA: self._numbers.size}
         if phase.by_node.leaves:
             fixed[Argument.ROW] = phase.by_node.width
@@ -150,7 +151,7 @@ class PhaseFunctions:
             )
             return join.made_of(parts[0]).gap_at(known[Argument.Z], self._base(known), start, initial, params)
 
-        arguments = {Argument.Z: before.n + before.border.size, Argument.BASE: self.point.size}
+        arguments = {Argument.Z: before.n + before.border.unknowns, Argument.BASE: self.point.size}
         arguments |= {Argument.TARGET: first.size, Argument.DATA: self._numbers.size}
         rest = ("join", group_key(after), after.phase, join.key)
         return JoinKernels(self._of(gap, arguments, [join.sources], rest), join.free)
@@ -171,11 +172,14 @@ class PhaseFunctions:
             order: of the derivatives, if not as in the whole problem.
         """
         structure = Structure([expr for part in parts for expr in part], self._leaf_places.token)
-        by_node = self._shooting.by_node
+        by_node, border = self._shooting.by_node, self._shooting.border
 
         def traced(*arrays: jax.Array) -> jax.Array:
             known, roots = dict(zip([*arguments, Argument.NUMBERS], arrays)), iter(structure.roots)
-            params = self._numbers.params(known[Argument.DATA])
+            params, z = self._numbers.params(known[Argument.DATA]), known[Argument.Z]
+            stage, shared = jnp.split(z, [len(z) - border.unknowns])
+            shared = border.complete(shared, self._numbers.limits(known[Argument.DATA]))
+            known[Argument.Z] = jnp.concatenate([stage, shared])
             if Argument.NUMBERS in known:
                 params |= structure.params(known[Argument.NUMBERS])
             if Argument.ROW in known:

@@ -137,6 +137,7 @@ class Shooting(Transcribed):
         phase: its number.
         leaves: states and controls by name, in the order of the unknowns.
         slacks: names of controls that are slacks.
+        size: derivatives are by so many unknowns of q: all but fixed durations.
         states: names of the states' tangents.
         turns: (n,) which tangents are rotations.
         paced: where the control stands that says how long intervals are.
@@ -171,7 +172,7 @@ class Shooting(Transcribed):
         self.slacks = frozenset(slack.name for slack in norms.slacks.values())
         self.local = Local(dynamics, path, objective, norms, final)
         self.n, self.m = dynamics.dimension, self.local.controls.dimension
-        self.size = self.n + self.m + border.size
+        self.size = self.n + self.m + border.unknowns
         self.nodes, self.intervals, self.substeps = mesh.nodes, mesh.nodes - 1, transcription.substeps
         self.paced = None if pace is None else self.local.controls.slices[pace]
         factors = dynamics.group.factors

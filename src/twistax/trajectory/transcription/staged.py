@@ -61,7 +61,7 @@ class Staged:
     def _assemble(self, instance: Instance) -> None:
         self._instance: Instance | None = None
         phases = [part.phase for part in self.parts]
-        self.transcription = Transcription(phases, self.border.size, self.numbers.vector(instance))
+        self.transcription = Transcription(phases, self.border.unknowns, self.numbers.vector(instance))
         stages = self.transcription.stages
         self.first, first = stages.first, stages.first_point
         self._shared = stages.variables - stages.parameters, stages.points - stages.parameters
@@ -149,15 +149,17 @@ class Staged:
         z, states = np.zeros(self.transcription.stages.points), self._states(point)
         for part, at, xs in zip(self.parts, self._nodes_z, states):
             z[at] = part.point.joined(xs, 1)
-        z[self._us_z], z[self._shared[1] :] = np.asarray(point.us)[self._us], np.ravel(point.border)
+        us, shared = np.asarray(point.us)[self._us], np.ravel(point.border)[self.border.unknown]
+        z[self._us_z], z[self._shared[1] :] = us, shared
         return z
 
     def point(self, z: Array) -> Iterate:
-        """The point of z."""
+        """The point of z; fixed durations are those of the present data."""
         us = np.zeros((self.transcribed.intervals, self.transcribed.m))
         us[self._us] = z[self._us_z]
         xs = [part.point.split(z[at]) for part, at in zip(self.parts, self._nodes_z)]
-        return Iterate(xs[0] if self.transcribed.segments[0].alone else tuple(xs), us, z[self._shared[1] :])
+        border = self.border.complete(z[self._shared[1] :], self.numbers.limits(self.transcription.data))
+        return Iterate(xs[0] if self.transcribed.segments[0].alone else tuple(xs), us, border)
 
     def coordinates(self, z: Array) -> Array:
         """v of a point z: states that are flat, controls and shared unknowns as they are, others zero."""
@@ -170,7 +172,7 @@ class Staged:
         v = np.zeros(self.transcription.stages.variables)
         for part, at in zip(self.parts, self._nodes_v):
             v[at] = d[part.stages, : part.shooting.n]
-        v[self._us_v], v[self._shared[0] :] = u[self._us], border
+        v[self._us_v], v[self._shared[0] :] = u[self._us], border[self.border.unknown]
         return v
 
     def tangents(self, v: Array) -> list[Array]:
@@ -203,7 +205,7 @@ class Staged:
     def limits(self, v: Array, instance: Instance) -> tuple[Array, Array]:
         """Lower and upper bounds of coordinates v; equal where an entry is fixed."""
         lower, upper = np.full(len(v), -np.inf), np.full(len(v), np.inf)
-        lower[self._shared[0] :], upper[self._shared[0] :] = np.asarray(instance.limits).T
+        lower[self._shared[0] :], upper[self._shared[0] :] = np.asarray(instance.limits)[self.border.unknown].T
         rows, places, is_upper, limits = self._bounds
         for bound, side, most, sign in ((lower, False, np.maximum, 1.0), (upper, True, np.minimum, -1.0)):
             at = ~np.isnan(limits) & (is_upper == side)

@@ -20,7 +20,7 @@ class Bounds(NamedTuple):
 
     Attributes:
         rows: places among all rows of the phase.
-        stages, columns: where the unknown stands, column n + m + i for entry i of the border.
+        stages, columns: where the unknown stands, column n + m + i for unknown i of the border.
         upper: whether it is an upper limit.
         limits: of leaves; NaN where it is that of a time or of a free parameter.
     """
@@ -119,12 +119,12 @@ def _bounds_of_rows(shooting: Shooting) -> Bounds:
     for k in range(K):
         for place, row in shooting.start_rows():
             add(k * layout.per_interval + place, row, k)
-    limits = shooting.border.finite if shooting.is_last else []
+    limits, shared = shooting.border.finite if shooting.is_last else [], np.cumsum(shooting.border.unknown) - 1
     first = count - len(limits) - len(layout.end_states)
     for place, row in enumerate(layout.end_states):
         add(first + place, int(row), K)
     for row, (entry, side) in zip(range(count - len(limits), count), limits):
         if shooting.exists[row]:
-            bounds.append((row, K, shooting.n + shooting.m + entry, bool(side), np.nan))
+            bounds.append((row, K, shooting.n + shooting.m + int(shared[entry]), bool(side), np.nan))
     kinds = (int, int, int, bool, float)
     return Bounds(*(np.array(a, kind) for a, kind in zip(zip(*bounds) if bounds else ((),) * 5, kinds)))

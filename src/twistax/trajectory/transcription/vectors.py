@@ -116,5 +116,16 @@ class Numbers:
     def limits(self, vector: Any) -> Any:
         return self._part(vector, len(self._ends) - 2).reshape(self._limits)
 
+    def at_times(self, vector: Array, border: Array) -> Array:
+        """The numbers of a solve with other fixed durations, those of the shared unknowns."""
+        vector = vector.copy()
+        self.limits(vector)[:] = np.reshape(border, (-1, 1))
+        return vector
+
+    @property
+    def final_time(self) -> Array:
+        """Where a fixed duration of a problem of one phase stands: it is both limits."""
+        return self._ends[-2] + np.arange(2)
+
     def _part(self, vector: Any, k: int) -> Any:
         return vector[self._ends[k] : self._ends[k + 1]]
