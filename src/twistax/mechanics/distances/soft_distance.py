@@ -53,7 +53,7 @@ def soft_distance(a: Solid, b: Solid, width: float, T_a: ExprLike | None = None,
         T_a, T_b: as for `signed_distance`.
     Raises:
         InputError: a width that is not positive.
-        ModelError: another solid; numbers that are no pose.
+        ModelError: another solid; numbers that are not a pose.
         ShapeError: a pose of another shape.
 
     Example:
