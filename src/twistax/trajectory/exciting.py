@@ -77,8 +77,8 @@ def exciting_problem(
         seed: of the random motions.
     Returns: a `Problem`; `fourier_motion(result.params["coefficients"], period, times)` is the motion of its result.
     Raises:
-        ModelError: a joint on a group, without limits or without a motor; a mechanism with loops; nothing that moves;
-            unknown links or drives; parameters without size.
+        ModelError: a joint on a group, without limits or without a motor; a mechanism with loops or without a moving
+            joint; unknown links or drives; parameters without a size.
         InputError: a noise or a size that is not positive.
 
     Example: `exciting_problem(arm, period=10.0).solve(max_iterations=100)`

@@ -78,12 +78,12 @@ class StartUnits:
         of_stages = at.by_run(self.v)
         kinds = ((at.Jh, at.stages.inequalities), (at.Je, at.stages.equalities))
         changes = [at.changes(*kind, of_stages) for kind in kinds]
-        for places in staged.places_alone:
+        for alone in staged.places_alone:
             weights = [np.zeros(len(change)) for change in changes]
-            for weight, at_place in zip(weights, places):
+            for weight, at_place in zip(weights, alone):
                 weight[at_place] = 1.0
             curvatures = at.curvatures(at.bends(*weights), of_stages)
-            for change, of_rows, at_place in zip(changes, staged.stages_of_rows, places):
+            for change, of_rows, at_place in zip(changes, staged.stages_of_rows, alone):
                 change[at_place] += 0.5 * curvatures[of_rows[at_place]]
         self.rows, self.equalities = staged.levelled_rows(*changes)
         for part, places, sizes in zip(staged.parts, staged.transcription.path_places, self.parts):

@@ -164,7 +164,8 @@ class ShootingSearch:
         new, size, before = self.shooting.step(
             state.unknowns, state.segments, state.damping[0, 0], self.data, self.prior
         )
-        return new, *(jnp.broadcast_to(a, state.damping.shape) for a in (size, before))
+        shape = state.damping.shape
+        return new, jnp.broadcast_to(size, shape), jnp.broadcast_to(before, shape)
 
     def _always(self, state: SearchState, starts: Arrays) -> Candidate:
         unlimited = jnp.full_like(state.damping, jnp.inf)

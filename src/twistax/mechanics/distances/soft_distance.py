@@ -53,7 +53,7 @@ def soft_distance(a: Solid, b: Solid, width: float, T_a: ExprLike | None = None,
         T_a, T_b: as for `signed_distance`.
     Raises:
         InputError: a width that is not positive.
-        ModelError: another solid; numbers that are no pose.
+        ModelError: another solid; numbers that are not a pose.
         ShapeError: a pose of another shape.
 
     Example:
@@ -66,8 +66,8 @@ def soft_distance(a: Solid, b: Solid, width: float, T_a: ExprLike | None = None,
                 f"soft_distance expects a Sphere, Capsule or Box of tx.view or a ConvexPolytope, got {short(solid)}"
             )
     pair, A, B = placed_pair("soft_distance", a, b, T_a, T_b)
-    cores = [Core.of(core) for core in (pair.a, pair.b) if not isinstance(core, Cylinder)]
-    value = functools.partial(_greatest_gap, *cores, float(width))
+    cores = (Core.of(core) for core in (pair.a, pair.b) if not isinstance(core, Cylinder))
+    value = functools.partial(_greatest_gap, next(cores), next(cores), float(width))
     return Function(value, (), name="soft_distance")(Compose(Inverse(A), B))
 
 
@@ -81,7 +81,7 @@ def _greatest_gap(a: Core, b: Core, width: float, T: Any) -> jax.Array:
     # Outside wider sums, which have fewer edges, lead to the greatest gap; inside they may lead to another direction.
     climbs = [_climb(U, fixed, width, n, wider) for wider in (_WIDER, 0)]
     gaps = [jax.lax.stop_gradient(_gap(U, fixed, width, climbed)) for climbed in climbs]
-    n = jnp.where(gaps[0] > gaps[1], *climbs)
+    n = jnp.where(gaps[0] > gaps[1], climbs[0], climbs[1])
     across, slope, curvature = _slopes(U, fixed, width, n)
     regular = curvature[0, 0] * curvature[1, 1] - curvature[0, 1] ** 2 > (_LEAST * (slope @ n)) ** 2
     curvature = jnp.where(regular, curvature, -jnp.eye(2, dtype=T.dtype))

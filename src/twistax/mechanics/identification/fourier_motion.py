@@ -46,7 +46,7 @@ def fourier_motion(coefficients: Any, period: float, times: Any) -> dict[str, ND
 
 def frequencies(period: float, harmonics: int) -> NDArray[np.float64]:
     """The angular frequencies k w of a series, (N,), rad/s."""
-    return np.arange(1, harmonics + 1) * (2.0 * np.pi / period)
+    return np.asarray(2.0 * np.pi / period * np.arange(1, harmonics + 1), np.float64)
 
 
 def fourier_rows(w: Any, sine: Any, cosine: Any, one: Any, joined: Callable[..., Any]) -> tuple[Any, Any, Any]:
