@@ -10,7 +10,6 @@ import pytest
 import twistax as tx
 from twistax.scalar.loops import Repeated
 
-
 POLYNOMIAL = {"rtol": 1e-7, "between": tx.Between.POLYNOMIAL}
 KINDS = {
     "a loop of XLA": (tx.XLA(), POLYNOMIAL),
