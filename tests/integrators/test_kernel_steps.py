@@ -37,6 +37,14 @@ def test_the_solution_is_that_of_the_loop(name: str) -> None:
     assert len(kernels_of_equal_steps(dynamics)) == 1
 
 
+def test_saved_rows_are_filled_in_the_kernel() -> None:
+    given: dict[str, Any] = {"t1": 0.7, "steps": 9, "u": U, "save_at": [0.0, 0.3, 0.35, 0.7]}
+    for x0 in (START, {name: np.asarray(value, np.float32) for name, value in START.items()}):
+        traced = str(jax.make_jaxpr(lambda x0: tx.integrate(NATIVE, x0, **given).xs)(x0))
+        assert traced.count("repeated_step[") == 1
+        assert "while[" not in traced
+
+
 def test_a_batch_is_each_solution_with_a_length_and_steps_of_its_own() -> None:
     lengths, pushes = jnp.linspace(0.1, 0.9, 11), jnp.linspace(0.0, 5.0, 33).reshape(11, 3)
 
@@ -59,7 +67,10 @@ def test_a_solution_that_fails_ends_where_the_loop_does() -> None:
         dynamics = tx.compile(fast, backend=backend)
         found = jax.vmap(lambda x0, d=dynamics: tx.integrate(d, {"x": x0}, t1=1.0, steps=40))(starts)
         ends.append((found.xs["x"], found.result, found.stats.steps, found.stats.rhs_evaluations))
-        part = tx.integrate(dynamics, {"x": 30.0}, t1=1.0, steps=40, save_at=[0.0, 0.025, 0.5, 1.0], throw=False)
+        saved: dict[str, Any] = {"t1": 1.0, "steps": 40, "save_at": [0.0, 0.025, 0.5, 1.0]}
+        rows = jax.vmap(lambda x0, d=dynamics, s=saved: tx.integrate(d, {"x": x0}, **s))(starts)
+        ends[-1] += (rows.xs["x"], rows.stats.steps)
+        part = tx.integrate(dynamics, {"x": 30.0}, **saved, throw=False)
         ends[-1] += (part.xs["x"], part.ts, jnp.asarray(part.result.value), jnp.asarray(part.stats.steps))
         with pytest.raises(tx.IntegrationError, match="infinite or NaN"):
             tx.integrate(dynamics, {"x": 1e200}, t1=1.0, steps=40)

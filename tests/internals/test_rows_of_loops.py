@@ -10,9 +10,18 @@ import pytest
 import twistax as tx
 from twistax.scalar.loops import Repeated
 
+POLYNOMIAL = {"rtol": 1e-7, "between": tx.Between.POLYNOMIAL}
+KINDS = {
+    "a loop of XLA": (tx.XLA(), POLYNOMIAL),
+    "a kernel's loop": (tx.Native(), POLYNOMIAL),
+    "a kernel's loop over fixed steps": (tx.Native(), {"steps": 500}),
+}
 
-@pytest.mark.parametrize("backend", [tx.XLA(), tx.Native()], ids=["a loop of XLA", "a kernel's loop"])
-def test_rows_of_batches_of_batches_are_exact(backend: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+
+@pytest.mark.parametrize(("backend", "steps"), KINDS.values(), ids=KINDS)
+def test_rows_of_batches_of_batches_are_exact(
+    backend: Any, steps: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Oscillators of other frequencies, ends and starts, in loops of XLA, where each is at another row."""
     monkeypatch.setattr(Repeated, "kernel", lambda self, rows, platform: None)
     x, v, w = tx.State("x"), tx.State("v"), tx.Parameter("w")
@@ -20,8 +29,8 @@ def test_rows_of_batches_of_batches_are_exact(backend: Any, monkeypatch: pytest.
     shares = np.append(np.linspace(0.0, 0.4, 210), [0.7, 1.0, 1.0])
 
     def flown(w: jax.Array, end: jax.Array, x: jax.Array) -> jax.Array:
-        given: dict[str, Any] = {"params": {"w": w}, "t1": end, "save_at": shares * end, "rtol": 1e-7}
-        return tx.integrate(dynamics, {"x": x, "v": 0.0}, between=tx.Between.POLYNOMIAL, **given).xs["x"]
+        given: dict[str, Any] = {"params": {"w": w}, "t1": end, "save_at": shares * end, **steps}
+        return tx.integrate(dynamics, {"x": x, "v": 0.0}, **given).xs["x"]
 
     ws, ends, begins = np.array([0.3, 2.0, 5.0]), np.array([2.0, 0.0]), np.array([1.0, -0.5])
     every = jax.vmap(jax.vmap(jax.vmap(flown, (None, None, 0)), (None, 0, None), out_axes=1), (0, None, None))

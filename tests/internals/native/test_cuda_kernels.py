@@ -120,7 +120,11 @@ def _adaptive_steps(dtype: Any) -> None:
 
 def _saved_rows(dtype: Any) -> None:
     body = _body()
-    jax.vmap(lambda x: tx.integrate(body, x, t1=1.0, rtol=1e-4, save_at=np.linspace(0.0, 1.0, 5)).xs)(_many(dtype))
+    given: list[dict[str, Any]] = [{"rtol": 1e-4}, {"dt": 0.1}]
+    for steps in given:
+        jax.vmap(lambda x, s=steps: tx.integrate(body, x, t1=1.0, save_at=np.linspace(0.0, 1.0, 5), **s).xs)(
+            _many(dtype)
+        )
 
 
 def _scanned(dtype: Any) -> None:

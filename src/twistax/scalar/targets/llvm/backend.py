@@ -237,9 +237,8 @@ class Native(Backend):
 
     Members of a batch run in vector lanes, or each in a thread of a CUDA device. Native
     needs llvmlite, `pip install "twistax[native]"`. It runs calls, batches and derivatives of functions on the CPU and
-    on CUDA devices, and steps of explicit methods, with all steps between two saved times in one kernel, and their
-    derivatives. Other loops of integrators, other devices, and functions without a native form use the backend
-    `scalars`.
+    on CUDA devices, and steps of explicit methods, with all steps and saved rows in one kernel, and their derivatives.
+    Other loops of integrators, other devices, and functions without a native form use the backend `scalars`.
 
     Attributes:
         scalars: the backend that makes scalar programs of functions, and runs them where there is no kernel.
