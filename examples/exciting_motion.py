@@ -23,7 +23,7 @@ problem = tx.trajectory.exciting_problem(arm, period=PERIOD, harmonics=HARMONICS
 result = problem.solve(max_iterations=150)
 print(result.message)
 
-# The deviation of the masses from a period of measured torques, for this motion and for random ones within the same limits.
+# The deviation of the masses from a period of measured torques, for this motion and for random ones.
 times = np.arange(0.0, PERIOD, 0.01)
 torques = jax.jit(jax.vmap(tx.lower(mechanics.inverse_dynamics(arm, qdd=tx.State("qdd", (2,)))), in_axes=(None, 0)))
 
