@@ -66,8 +66,8 @@ def soft_distance(a: Solid, b: Solid, width: float, T_a: ExprLike | None = None,
                 f"soft_distance expects a Sphere, Capsule or Box of tx.view or a ConvexPolytope, got {short(solid)}"
             )
     pair, A, B = placed_pair("soft_distance", a, b, T_a, T_b)
-    cores = (Core.of(core) for core in (pair.a, pair.b) if not isinstance(core, Cylinder))
-    value = functools.partial(_greatest_gap, next(cores), next(cores), float(width))
+    one, two = (Core.of(core) for core in (pair.a, pair.b) if not isinstance(core, Cylinder))
+    value = functools.partial(_greatest_gap, one, two, float(width))
     return Function(value, (), name="soft_distance")(Compose(Inverse(A), B))
 
 
