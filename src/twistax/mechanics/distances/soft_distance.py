@@ -66,8 +66,8 @@ def soft_distance(a: Solid, b: Solid, width: float, T_a: ExprLike | None = None,
                 f"soft_distance expects a Sphere, Capsule or Box of tx.view or a ConvexPolytope, got {short(solid)}"
             )
     pair, A, B = placed_pair("soft_distance", a, b, T_a, T_b)
-    cores = (Core.of(core) for core in (pair.a, pair.b) if not isinstance(core, Cylinder))
-    value = functools.partial(_greatest_gap, next(cores), next(cores), float(width))
+    one, two = (Core.of(core) for core in (pair.a, pair.b) if not isinstance(core, Cylinder))
+    value = functools.partial(_greatest_gap, one, two, float(width))
     return Function(value, (), name="soft_distance")(Compose(Inverse(A), B))
 
 
@@ -111,8 +111,8 @@ def _gradient(U: jax.Array, V: jax.Array, width: Any, n: jax.Array) -> jax.Array
 
 def _slopes(U: jax.Array, V: jax.Array, width: Any, n: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Two directions (3, 2) across n, the gradient (3,) of the gap, and its curvature (2, 2) on the sphere."""
-    aside = jnp.eye(3, dtype=n.dtype)[jnp.argmin(jnp.abs(n))]
-    first = jnp.cross(n, aside)
+    axis = jnp.eye(3, dtype=n.dtype)[jnp.argmin(jnp.abs(n))]
+    first = jnp.cross(n, axis)
     first = first / jnp.sqrt(first @ first)
     across = jnp.stack([first, jnp.cross(n, first)], axis=1)
     slope = _gradient(U, V, width, n)
