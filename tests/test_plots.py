@@ -131,6 +131,12 @@ def trajectory(t0: float = 0.0) -> Trajectory:
     return Trajectory(problem, xs, us, t0 + np.array([0.0, 1.0, 2.0]), t0 + 2.0, {}, {})
 
 
+def test_a_unit_for_each_half_of_a_control_draws_a_panel_each_with_its_limits() -> None:
+    found = panels(trajectory().plot("u", units={"u": "N, N m"}))
+    assert [(title, axes.get_ylabel()) for title, axes in found.items()] == [("u, N", "N"), ("u, N m", "N m")]
+    assert [line.get_ydata()[0] for line in found["u, N"].get_lines()[2:]] == [-1.0, 1.0]
+
+
 def test_a_plan_has_nodes_a_rollout_steps_and_limits() -> None:
     found = panels(trajectory().plot(units={"u": "N"}))
     assert list(found) == ["p", "v", "u"]

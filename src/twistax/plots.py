@@ -67,9 +67,13 @@ def panels(
     """The panels of a leaf, from pieces of times (n,) and values (n, *shape) that follow each other.
 
     A pose becomes its position and its Euler angles, a rotation its Euler angles, in degrees and without jumps. Entries
-    with labels, pairs of name and unit, become a panel for each unit; `unit` converts those that it can.
+    with labels, pairs of name and unit, become a panel for each unit; `unit` converts those that it can. A unit such as
+    "m/s, rad/s" has one unit for each half of the entries.
     """
     pieces = [(np.asarray(ts), np.asarray(values)) for ts, values in pieces]
+    units, size = unit.split(", "), pieces[0][1][0].size if pieces and len(pieces[0][1]) else 0
+    if not labels and (group is None or group.flat) and len(units) > 1 and size and size % len(units) == 0:
+        labels = [(f"{name}[{k}]", units[k * len(units) // size]) for k in range(size)]
     if labels and pieces:
         return _labelled(name, [(ts, v.reshape(len(v), -1)) for ts, v in pieces], unit, labels)
     if group is None or group.flat or (len(group.parts) == 1 and not group.rigid):

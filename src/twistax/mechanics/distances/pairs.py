@@ -75,7 +75,7 @@ def clearances(
 
 
 def soft_minimum(distances: Iterable[Expr] | Mapping[str, Expr], width: float) -> Expr:
-    """A minimum () without kinks between its values: $-w log sum exp(-d_i / w)$.
+    """A smooth approximation () of the minimum of values: $-w log sum exp(-d_i / w)$.
 
     For n values it is at most the minimum and at least the minimum minus $w log n$. One constraint on it keeps all
     pairs apart, with an additional margin of up to $w log n$.

@@ -130,7 +130,7 @@ def read(path: str | Path) -> tuple[System, dict[str, Any]]:
     except TwistaxError:
         raise
     except MemoryError:
-        raise InputError(f"{place} is damaged, or too large for the memory there is") from None
+        raise InputError(f"{place} is damaged, or too large for the available memory") from None
     except (zipfile.BadZipFile, zipfile.LargeZipFile, zlib.error, EOFError) as error:
         raise InputError(
             f"{place} is not a whole file of a saved system: {error}.\n  fix: give a file that Dynamics.save wrote"

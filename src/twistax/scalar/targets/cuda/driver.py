@@ -63,7 +63,7 @@ class Driver:
         try:
             self._library = ctypes.CDLL(name)
         except OSError as error:
-            raise BuildError(f"CUDA's driver {name} is not there") from error
+            raise BuildError(f"CUDA's driver {name} is not installed") from error
         version = ctypes.c_int()
         self._functions: dict[str, Any] = {}
         for name in ("cuInit", "cuDriverGetVersion"):
