@@ -134,14 +134,12 @@ def test_quasi_newton_of_phases_and_attitudes() -> None:
     R, spin = tx.State("R", group=tx.SO3), tx.Control("spin", shape=(3,))
     turning = tx.compile(tx.System(rates={R: spin}, constraints={"slow": spin[2] <= 0.5}))
     wanted, cost = np.asarray(tx.SO3.exp(jnp.array([0.3, -1.0, 0.4]))), tx.Minimize(running=spin @ spin)
-    first = Phase(turning, cost, nodes=6, final_time=0.5, initial={R: np.eye(3)}, name="a", hessian=QuasiNewton())
-    last = Phase(turning, cost, nodes=6, final_time=(0.2, 0.5), final={R: wanted}, name="b", hessian=QuasiNewton())
+    first = Phase(turning, cost, nodes=7, final_time=0.5, initial={R: np.eye(3)}, name="a", hessian=QuasiNewton())
+    last = Phase(turning, cost, nodes=7, final_time=(0.2, 0.5), final={R: wanted}, name="b", hessian=QuasiNewton())
     found = Problem([first, last]).solve()
     assert found.solved
     assert found.cost == pytest.approx(0.3**2 + 1.0 + 0.4**2, rel=1e-6)  # at a constant rate, in the longest time
-    # 19 to 22 for most draws that measure the unit of the objective, 76 for this one; 193 where tangent spaces count
-    # as one.
-    assert found.iterations <= 100
+    assert found.iterations <= 40  # 193 on six nodes where tangent spaces count as one
 
 
 def test_an_optimum_by_updates_has_exact_derivatives() -> None:

@@ -194,7 +194,7 @@ def test_an_integral_of_a_later_phase_begins_at_zero() -> None:
 
 
 def test_an_optimum_as_a_function_is_of_no_list_of_phases() -> None:
-    with pytest.raises(tx.TrajectoryError, match="no list of phases, got a list of phases, 2"):
+    with pytest.raises(tx.TrajectoryError, match="of one phase, got a list of phases, 2"):
         tx.trajectory.solution(bang_bang())
     alone = Problem([Phase(pushed(1.0), tx.Minimize(tx.Time()), nodes=3, final_time=1.0, initial={"p": 0.0, "v": 0.0})])
     with pytest.raises(tx.TrajectoryError, match="got a list of phases, 1"):
