@@ -144,10 +144,9 @@ def test_robust_losses_keep_outliers_from_the_estimate() -> None:
     """10 % of the angles are wrong by half a radian. Beside SciPy's least squares with the same loss."""
     values, rng = MEASURED.copy(), np.random.default_rng(2)
     values[rng.choice(51, 5, replace=False)] += 0.5
+    options: Any = {"x_scale": "jac", "xtol": 1e-12, "ftol": 1e-12, "f_scale": 1.345}
     huber, squares = (
-        least_squares(
-            lambda p: (angles(p) - values) / 0.01, TRUTH, x_scale="jac", xtol=1e-12, ftol=1e-12, loss=loss, f_scale=1.345
-        )
+        least_squares(lambda p: (angles(p) - values) / 0.01, TRUTH, loss=loss, **options)
         for loss in ("huber", "linear")
     )
     fit = tx.fit(
