@@ -59,6 +59,8 @@ class Inference:
         self._free: dict[int, bool] = {}
         #: From elements of batches to the number of the batch with which they were read first.
         self._batches: dict[int, int] = {}
+        #: Whether a kind says of which body a value is.
+        self.has_bodies = False
         #: Nodes, vectors that can be in no frame, and what makes them so.
         self._unframed: list[tuple[Expr, Expr, Expr]] = []
         for leaf in leaves:
@@ -112,6 +114,7 @@ class Inference:
 
     def _kind(self, value: Expr, end: int, kind: Kind, note: str) -> None:
         """The frames and spaces of a declared kind."""
+        self.has_bodies = self.has_bodies or bool(kind.bodies())
         for axis, frame in kind.axes().items():
             if frame:
                 self._fix(self._frames, end + axis, AxisFact(frame, value, axis, value, note))
@@ -352,8 +355,7 @@ def infer_kinds(
     for state, rate in rates.items():
         inference.read_rate(state, rate)
     inference.check_unframed()
-    kinds = map(kind_of, (*inference.leaves, *nodes))
-    if any(kind is not None and kind.bodies() for kind in kinds):
+    if inference.has_bodies:
         check_bodies(nodes, roots, rates, BodyInference(inference.leaves, inference.place, short))
     return inference
 
