@@ -77,7 +77,7 @@ def test_leaves_and_rates_of_another_shape_are_refused(leaf: tx.State, shape: tu
     ],
 )
 def test_conditions_are_refused(attempt: Callable[[], Any]) -> None:
-    with pytest.raises(tx.ModelError, match=r"Rate expects numbers, got the condition (.|\n)*fix: say which numbers"):
+    with pytest.raises(tx.ModelError, match=r"Rate expects numbers, got the condition (.|\n)*fix: choose the numbers"):
         attempt()
 
 

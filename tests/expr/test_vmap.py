@@ -144,7 +144,7 @@ def test_an_axis_that_is_no_whole_number_is_refused(axis: Any, unchecked: None) 
 
 
 def test_a_batch_of_conditions_is_refused() -> None:
-    with pytest.raises(ModelError, match=r"Vmap expects numbers, got the condition (.|\n)*fix: say which numbers"):
+    with pytest.raises(ModelError, match=r"Vmap expects numbers, got the condition (.|\n)*fix: choose the numbers"):
         tx.Vmap(lambda p: -p, batch=x > 0.5)
     with pytest.raises(ModelError, match="Vmap expects numbers, got the condition"):
         tx.substitute(tx.Vmap(lambda p: -p, batch=x), {x.key(): x > 0.5})

@@ -121,7 +121,7 @@ def test_more_than_half_a_turn_is_a_failure() -> None:
 def test_a_step_has_no_tangent_and_says_so() -> None:
     inputs = forced().functions.prepare(0.0, start())
     field = VectorField(forced(), lambda t: {}, dict(inputs.params))
-    with pytest.raises(tx.ModelError, match="CF4 gives no tangent of its step"):
+    with pytest.raises(tx.ModelError, match="CF4 does not provide the tangent of its step"):
         CF.increment(field, inputs.t, dict(inputs.x), jnp.asarray(0.1))
 
 
@@ -138,7 +138,7 @@ def test_methods_are_values() -> None:
         ([[], [[0.5, 0.5]]], [[1.0]], r"a\[1\] weighs 2 slopes where 1 are known: it would be implicit"),
         ([[], [[0.0]]], [[1.0]], r"a\[1\] has an exponential whose weights are all zero"),
         ([[], [[1.0]]], [[0.5, 0.25, 0.25]], "b weighs 3 slopes where 2 are known"),
-        ([[], [1.0]], [[1.0]], r"a\[1\] is no list of rows of numbers"),
+        ([[], [1.0]], [[1.0]], r"a\[1\] is not a list of rows of numbers"),
         ([[], [[float("nan")]]], [[1.0]], "a has entries that are not finite"),
     ],
 )

@@ -89,7 +89,7 @@ def test_bounds_of_leaves_are_no_methods(name: str, bounds: dict[str, float]) ->
     for kind in (tx.State, tx.Control):
         x = kind("x", shape=(2,), **bounds)
         for call in ("x.max()", "x.max(axis=0)", "x.max(0, keepdims=True)"):
-            words = rf"x.{name}: an expression is no array(.|\n)*fix: tx.{name.title()}\(\*x\)"
+            words = rf"x.{name}: an expression is not an array(.|\n)*fix: tx.{name.title()}\(\*x\)"
             with pytest.raises(AttributeError, match=words):
                 eval(call.replace("max", name), {"x": x})
         bound = {"max": x.max, "min": x.min}[name]

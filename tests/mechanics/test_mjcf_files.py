@@ -62,7 +62,7 @@ def test_nothing_outside_of_the_folder_is_read(name: str, tmp_path: Path) -> Non
     name = name.format(absolute=secret).replace("\0", "&#x2400;")
     path = model(folder / "scene.xml", f'<include file="{name}"/>')
     for within in (None, tmp_path / "pack"):
-        with pytest.raises(tx.ModelError, match=r"lies outside of the folder|cannot read|is no path of a file"):
+        with pytest.raises(tx.ModelError, match=r"lies outside of the folder|cannot read|is not a path of a file"):
             load(path, within=within)
 
 

@@ -171,7 +171,7 @@ def main(first: int, count: int) -> int:
             tx.load(folder / "hostile")
         except tx.TwistaxError as error:
             came = f"{type(error).__name__}: {str(error)[:70]!r}"
-            bad = "for the memory there is" in str(error)
+            bad = "for the available memory" in str(error)
         except BaseException as error:
             came, bad = f"{type(error).__name__}: {str(error)[:200]!r}", True
         else:
