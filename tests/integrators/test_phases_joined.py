@@ -255,7 +255,7 @@ def test_dense_phases_are_known_everywhere() -> None:
         ([{"duration": 1.0}] * 2, [{"w": 1.0}], {}, r"links\[0\] names 'w'"),
         ([{"duration": 1.0}] * 2, [{v: tx.Control("F")}], {}, "reads Control 'F'"),
         ([{"duration": 1.0}] * 2, [{v: np.ones(3) * h}], {}, r"expects shape \(\)"),
-        ([{"duration": 1.0}] * 2, [{R: 2.0 * R}], {}, "phase 1: .*no element of SO3"),
+        ([{"duration": 1.0}] * 2, [{R: 2.0 * R}], {}, "phase 1: .*not an element of SO3"),
         ([{"duration": 1.0}], None, {"params": {"weight": 1.0}}, "unknown key 'weight' in params"),
         ([{"duration": 1.0}], None, {"u": {"F": 1.0}}, "unknown key 'F' in u"),
         ([{"duration": 1.0}], None, {"save_at": [-1.0]}, "save_at must lie inside"),

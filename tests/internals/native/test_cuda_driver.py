@@ -226,5 +226,5 @@ def test_explain_tells_of_devices(device: _Device, monkeypatch: pytest.MonkeyPat
 
 
 def test_a_machine_without_a_driver() -> None:
-    with pytest.raises(BuildError, match=r"CUDA's driver .* is not there"):
+    with pytest.raises(BuildError, match=r"CUDA's driver .* is not installed"):
         cuda.driver()

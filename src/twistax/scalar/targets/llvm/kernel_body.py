@@ -18,7 +18,7 @@ from ...program import ScalarProgram, called_names
 from ...reader import emitted_form
 from .code import NAMES, Code, Module, NotNative
 from .lanes import Array, Rows
-from .pieces import PieceValues, Scratch, in_pieces
+from .pieces import PieceValues, Scratch
 from .trigonometry import sines_and_cosines
 
 #: Kernels call no library: more is unrolled than for XLA.
@@ -241,7 +241,7 @@ class Straight(KernelBody):
         self.chunk = max(1, self._CHUNK // (max(program.operations, 1) * lanes)) * lanes
 
     def body(self, code: Code, rows: Mapping[str, Rows]) -> None:
-        pieces = in_pieces(self.program, code.module.processor)
+        pieces = self.program.operations >= code.module.processor.longest
         code.module.long = pieces or sum(array.size for array in self.results) > _MANY
         if pieces:
             self._in_pieces(code, rows)

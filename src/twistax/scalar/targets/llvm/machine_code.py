@@ -40,6 +40,11 @@ class Processor:
         return bool(self.triple)
 
     @property
+    def longest(self) -> int:
+        """Programs of this many operations and more are written in pieces. Compilers of devices join these again."""
+        return 20_000 if self.triple else 3000
+
+    @property
     def held(self) -> int | None:
         """How many values straight code holds at a time: three quarters of the registers; None: a device sees to it."""
         few = not self.masks and (self.name in dict(_LEVELS.values()) or "+sse2" in self.features)

@@ -16,10 +16,7 @@ from .machine_code import Processor
 
 #: Operations in a piece. Of functions with more the memory that LLVM takes grows.
 _LENGTH = 4000
-#: Programs of fewer operations are one function, and left to LLVM.
-_LONG = 3000
-#: The same for devices, whose compilers put one function together again.
-_LENGTH_ON_DEVICE, _LONG_ON_DEVICE = 2000, 20_000
+_LENGTH_ON_DEVICE = 2000
 #: The most bytes on the stack; more are allocated.
 STACK = 32_768
 
@@ -32,11 +29,6 @@ class PieceStep(NamedTuple):
 
     nodes: list[int]
     complete: list[ResultBlock]
-
-
-def in_pieces(program: ScalarProgram, processor: Processor) -> bool:
-    """Whether a program is written in pieces."""
-    return program.operations >= (_LONG_ON_DEVICE if processor.triple else _LONG)
 
 
 class Scratch:
