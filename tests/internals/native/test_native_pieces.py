@@ -39,7 +39,7 @@ def test_pieces_give_what_the_whole_gives(processor: Processor, dtype: Any, monk
     for length, stack, held in ((10**9, 0, 24), (9, 10**9, 12), (40, 0, 24), (40, 0, 2), (10**6, 0, 5)):
         monkeypatch.setattr(pieces, "STACK", stack)
         monkeypatch.setattr(Processor, "held", held)
-        monkeypatch.setattr(pieces, "_LONG", length if length > 10**6 else 9)
+        monkeypatch.setattr(Processor, "longest", length if length > 10**6 else 9)
         monkeypatch.setattr(pieces, "_LENGTH", length)
         kernel = HostKernel(Straight(form, lanes), processor)
         found.append(kernel.run([rows[k] for k in kernel.body.read]))
@@ -53,7 +53,7 @@ def test_llvm_has_a_few_pieces_in_memory_at_a_time(monkeypatch: pytest.MonkeyPat
     import llvmlite.binding as llvm
 
     parse, lengths = llvm.parse_assembly, list[int]()
-    monkeypatch.setattr(pieces, "_LONG", 9)
+    monkeypatch.setattr(Processor, "longest", 9)
     monkeypatch.setattr(pieces, "_LENGTH", 9)
     monkeypatch.setattr(llvm, "parse_assembly", lambda text, *more: (lengths.append(len(text)), parse(text, *more))[1])
     shapes = [jax.ShapeDtypeStruct((7,), np.float64), jax.ShapeDtypeStruct((7,), np.int32)]
