@@ -86,7 +86,7 @@ def test_only_values_of_nodes_are_made(named: str, members: dict[str, bytes], tm
 
 
 def test_sizes_that_a_file_promises_are_not_allocated(members: dict[str, bytes], tmp_path: Path) -> None:
-    with pytest.raises(tx.InputError, match=r"says that it has 3e\+09 bytes, a saved system has at most"):
+    with pytest.raises(tx.InputError, match=r"declares 3e\+09 bytes, but a saved system has at most"):
         loaded(tmp_path, members, said=3_000_000_000)
     header = io.BytesIO()
     np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (3_000_000_000,)})
