@@ -286,7 +286,7 @@ def test_what_is_no_tree_is_refused(unchecked: None) -> None:
         Mechanism([link("a", "b"), link("b", "a"), link("c")])
     with pytest.raises(tx.ModelError, match="two links are named 'a'"):
         Mechanism([link("a"), link("a")])
-    with pytest.raises(tx.ModelError, match="joint 'b' moves no mass"):
+    with pytest.raises(tx.ModelError, match="joint 'b' carries no mass"):
         Mechanism([link("a"), link("b", "a", None)]).system()
     with pytest.raises(tx.ModelError, match="'b' follows 'c'"):
         Mechanism([link("a"), link("b", "a", mimic=Mimic("c"))])
