@@ -27,8 +27,9 @@ def declare(value: Any, kind: Kind | None = None, unit: Any = None) -> Expr:
         unit: of all entries, such as "m/s"; of a six-vector that of its angular part.
     Raises: ModelError for a kind of another shape, or an unknown unit.
 
-    Units: those that are declared. Example: `outputs={"tip": tx.kinds.declare(arm.pose("tip")[:3, 3],
-        tx.Point("base"))}`.
+    Units: those that are declared.
+
+    Example: `outputs={"tip": tx.kinds.declare(arm.pose("tip")[:3, 3], tx.Point("base"))}`
     """
     expr = to_expr(value)
     if kind is None and unit is None:
