@@ -29,7 +29,7 @@ class RobustLoss(ABC):
 
 
 def checked_losses(losses: Mapping[str, RobustLoss] | None, measurements: Iterable[str]) -> dict[str, RobustLoss]:
-    """Losses by measurement. Raises ModelError for one that is none, or of an unknown measurement."""
+    """Losses by measurement. Raises ModelError for another type, or an unknown measurement."""
     checked, known = dict(losses or {}), list(measurements)
     for name, loss in checked.items():
         if name not in known:
