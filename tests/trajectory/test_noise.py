@@ -86,7 +86,7 @@ def test_random_starts_mean_something(rate: Any) -> None:
     assert plain.solved
     results = [problem.solve(seed=seed) for seed in range(1, 21)]
     solved = [result for result in results if result.solved]
-    # Steps of a coarse mesh have other optima where the rate is huge: one start in ten ends there, with the status COARSE.
+    # On a coarse mesh there are other optima where the rate is huge: one start in ten ends there, as COARSE.
     assert len(solved) >= 17
     assert all(result.status in (Status.SOLVED, Status.COARSE) for result in results)
     np.testing.assert_allclose([result.cost for result in solved], plain.cost, rtol=1e-5)
