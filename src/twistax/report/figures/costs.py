@@ -107,8 +107,8 @@ def _landings() -> list[float]:
 
 LANDINGS: Section = [
     slow("guesses that land", "of 8", between(7.0), lambda: len(_landings())),
-    slow("final mass of those, least", "of 8", between(unit="kg"), lambda: min(_landings())),
-    slow("final mass of those, most", "of 8", between(unit="kg"), lambda: max(_landings())),
+    slow("smallest final mass of those", "of 8", between(unit="kg"), lambda: min(_landings())),
+    slow("largest final mass of those", "of 8", between(unit="kg"), lambda: max(_landings())),
 ]
 
 #: A finer ladder than that of the report: an order of 8 falls far between its rungs.

@@ -1,6 +1,7 @@
 """Matrices in loops by `tx.fast` beside JAX, and the gradient through a learned rate beside diffrax."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import diffrax
@@ -56,6 +57,24 @@ def _beside_jax(function: Callable[..., Any], *arguments: Any) -> Race:
     return Race(programs, 1e-9, _REPEATS)
 
 
+def _in_a_scan(P: jax.Array, A: jax.Array, B: jax.Array, step: Callable[..., jax.Array]) -> jax.Array:
+    """The cost `_CALLS` steps before, as a regulator's recursion is written."""
+    return jax.lax.scan(lambda P, _: (step(P, A, B), None), P, None, length=_CALLS)[0]
+
+
+def _recursion(step: Callable[..., jax.Array], *arguments: Any) -> Race:
+    """A scan of steps by both."""
+
+    def programs() -> dict[str, Timed]:
+        forms = {"JAX": step, "tx.fast": tx.fast(step)}
+        return {
+            name: compiled(partial(_in_a_scan, step=form), *map(jnp.asarray, arguments), evaluations=_CALLS)
+            for name, form in forms.items()
+        }
+
+    return Race(programs, 1e-9, _REPEATS)
+
+
 def learned() -> dict[str, Timed]:
     """The gradient of the end of 20 steps of $x' = -x + net(x)$ by the weights of a network 4-64-64-4."""
     net = eqx.nn.MLP(4, 4, 64, 2, key=jax.random.key(0))
@@ -87,6 +106,8 @@ _SYSTEM = np.eye(12), 0.9 * np.eye(12) + 0.05 * _RANDOM.normal(size=(12, 12)), _
 _RACES = {
     "Riccati step of 12x12": _beside_jax(riccati, *_SYSTEM),
     "Riccati step with a solve of 12x12": _beside_jax(by_a_solve, *_SYSTEM),
+    "Riccati steps of 12x12 in a scan": _recursion(riccati, *_SYSTEM),
+    "Riccati steps with a solve of 12x12 in a scan": _recursion(by_a_solve, *_SYSTEM),
     "all placements of a chain of 35 joints": _beside_jax(placements, _RANDOM.normal(size=35)),
 }
 _LEARNED = Race(learned, 1e-7, _REPEATS, _flat)

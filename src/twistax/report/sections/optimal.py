@@ -41,7 +41,7 @@ _KNOWN: dict[str, Known] = {
     "Goddard's rocket, 51 nodes": Known(problems.goddard, 1.01284),
     **{f"least fuel, {form}": Known(_of(problems.rendezvous, form), 1.212619) for form in _FORMS},
 }
-_FLAT = "from where a constraint has no slope: cost"
+_FLAT = "start where a constraint has zero derivatives: cost"
 
 OPTIMA: Section = [
     *(slow(f"{name}: from the optimum", "relative", at_most(it.bar), it.error) for name, it in _KNOWN.items()),
