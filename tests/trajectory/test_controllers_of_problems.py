@@ -1,0 +1,61 @@
+"""Controllers in C of twenty problems: groups, cones, limits, free times, references; their iterates are Python's."""
+
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_controller import pointing, regulator
+
+import twistax as tx
+from twistax.report.sections import cops, flights, problems
+from twistax.trajectory import Collocation, Controller, GaussNewton, Problem
+
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")]
+
+PROBLEMS: dict[str, Callable[[], Problem]] = {
+    "regulator": regulator,
+    "pointing": pointing,
+    "brachistochrone": lambda: problems.brachistochrone(nodes=16),
+    "Bryson-Denham": lambda: problems.bryson_denham(nodes=16),
+    "cart-pole": lambda: problems.cart_pole(nodes=21),
+    "cart-pole, Gauss-Newton": lambda: problems.cart_pole(nodes=21, hessian=GaussNewton()),
+    "cart-pole, collocation": lambda: problems.cart_pole(nodes=11, transcription=Collocation(tx.tableaus.GAUSS2)),
+    "half turn on SO(3)": lambda: problems.reorientation(nodes=13),
+    "landing on SE(3)": problems.landing,
+    "Goddard": lambda: problems.goddard(nodes=21),
+    **{
+        f"rendezvous, {form}": lambda form=form: problems.rendezvous(form, nodes=13)
+        for form in ("norm as cost", "norm below a slack", "squares below a slack")
+    },
+    "least time": lambda: problems.fastest(1.0, (0.5, 6.0), 1.0, nodes=13),
+    "least time, up to 20 s": lambda: problems.fastest(1.0, (0.5, 20.0), 1.0, nodes=13),
+    "robot arm": lambda: cops.robot_arm(nodes=13),
+    "catalyst mixing": lambda: cops.catalyst_mixing(nodes=21),
+    "quadrotor past spheres on SE(3)": lambda: flights.quadrotor(nodes=13),
+    "Panda": lambda: flights.panda(nodes=8),
+    "chain of masses": lambda: flights.chain_of_masses(3, nodes=11),
+}
+
+
+def measured(controller: Controller) -> list[dict[str, np.ndarray]]:
+    """The first nodes of the plan, entries of vectors changed by up to 2 %, poses as they are."""
+    rng = np.random.default_rng(0)
+    change = lambda a: a if a.ndim == 2 else a * (1.0 + 0.02 * rng.uniform(-1.0, 1.0, a.shape))  # noqa: E731
+    return [{name: change(np.asarray(values[k])) for name, values in controller.xs.items()} for k in range(3)]
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_iterates_in_c_are_those_of_python(name: str, tmp_path: Path) -> None:
+    """The test program compares three calls, with a shift after each: plans, iterations and statuses."""
+    controller = PROBLEMS[name]().controller(max_iterations=100)
+    files = controller.to_c(tmp_path, name="loop", states=measured(controller), tolerance=1e-9)
+    target = tmp_path / "test"
+    command = ["gcc", "-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-O1", str(files.source), str(files.test)]
+    built = subprocess.run([*command, "-lm", "-o", str(target)], capture_output=True, text=True)
+    assert built.returncode == 0, built.stderr
+    ran = subprocess.run([str(target)], capture_output=True, text=True)
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+    assert ran.stdout.count("status 0") >= 2, ran.stdout
