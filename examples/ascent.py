@@ -1,6 +1,6 @@
-"""Two-stage rocket: the ascent to a circular orbit that leaves most mass, as one problem of two phases.
+"""Two-stage rocket: the ascent to a circular orbit with the largest final mass, as one problem of two phases.
 
-The empty first stage falls off between the phases. Motion is planar, over a round Earth with an exponential atmosphere.
+The empty first stage separates between the phases. Motion is planar, over a round Earth with an exponential atmosphere.
 """
 
 import jax

@@ -1,4 +1,4 @@
-"""LQR on a rotation: a rigid pendulum is balanced upright from a tilt of forty degrees by a linear law.
+"""LQR on a rotation: a linear feedback law balances a rigid pendulum upright from a tilt of forty degrees.
 
 `tx.trajectory.linearize` gives A and B in the tangent space, so the law acts on the rotation vector of the error.
 """

@@ -1,6 +1,6 @@
-"""Bouncing ball: each bounce is the end of a phase, and its time is found to round-off by an event.
+"""Bouncing ball: each bounce is the end of a phase, at the time of an event, which is accurate to round-off.
 
-The derivative of the last height with respect to the restitution goes through all bounces.
+The derivative of the last height with respect to the restitution includes the effect of all bounces.
 """
 
 import jax

@@ -1,4 +1,4 @@
-"""A rigid body's dynamics as C99: written, compiled, tested, and called, with the numbers of Python."""
+"""C99 code of a rigid body: it is written, compiled, tested and called, and its results agree with Python."""
 
 import ctypes
 import shutil

@@ -1,6 +1,7 @@
-"""Double pendulum: two bars on hinges, let go twice from starts that differ by a millionth of a radian.
+"""Double pendulum: two bars on hinges, released from two initial states that differ by a millionth of a radian.
 
-The motions part exponentially, as chaotic ones do. Each keeps its energy, so it is no error of the integrator.
+The motions diverge exponentially, because the system is chaotic. The energy of each is conserved, so the
+divergence is not an error of the integrator.
 """
 
 import jax

@@ -1,4 +1,4 @@
-"""Flight by a filter: a quadrotor in gusts hovers by what its filter makes of a gyroscope and noisy positions."""
+"""Flight by a filter: a quadrotor hovers in gusts, with a state estimated from a gyroscope and noisy positions."""
 
 import jax
 import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""Exciting motion: the motion within limits from which the masses of an arm are identified best."""
+"""Exciting motion: the most informative motion within limits for the identification of the masses of an arm."""
 
 import jax
 import numpy as np

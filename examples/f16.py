@@ -1,10 +1,10 @@
-"""NASA's F-16 from its DAVE-ML files, trimmed and flown: cases 11 to 16 of NASA/TM-2015-218675.
+"""NASA's F-16 from its DAVE-ML files, trimmed and simulated: check-cases 11 to 16 of NASA/TM-2015-218675.
 
     python examples/f16.py DIR                  every case
     python examples/f16.py DIR 11 13.2          these, by number
 
 DIR holds the published files: f16/F16_*.dml, and of the trajectories <folder of the case>/sim_*.csv. They are not part
-of twistax. A case whose trajectories are not there is flown all the same.
+of twistax. A case without published trajectories is simulated, too.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Case 11 of NASA/TM-2015-218675 as one would write it: the F-16 from its DAVE-ML files, trimmed and flown for 180 s.
+"""Check-case 11 of NASA/TM-2015-218675: the F-16 from its DAVE-ML files, trimmed and simulated for 180 s.
 
 python examples/f16_case_11.py DIR        DIR/f16/F16_*.dml are NASA's files
 """

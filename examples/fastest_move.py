@@ -1,6 +1,6 @@
 """Fastest move of a Panda: by forward dynamics with torques as controls, and by inverse dynamics with accelerations.
 
-Both have the speed and torque limits of the URDF and the same optimum; the inverse form takes fewer iterations.
+Both have the speed and torque limits of the URDF and the same optimum. Inverse dynamics take fewer iterations.
 """
 
 from pathlib import Path

@@ -1,6 +1,7 @@
-"""Camera constraint: a quadrotor keeps a runner in the cone of its camera, near enough and not too near.
+"""Camera constraint: a quadrotor keeps a runner in the view cone of its camera, with limits on their distance.
 
-After the cinematic view planning of OpenSCvx's gallery. The camera looks along the body's x axis, rotors push along z.
+The problem is the cinematic view planning of OpenSCvx's gallery. The camera looks along the body's x axis, and the
+rotors push along z.
 """
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""From problem to flight code: a quadrotor past two pillars at 100 Hz, by a controller in Python and by its C file.
+"""From problem to flight code: a quadrotor flies past two pillars, with a controller at 100 Hz in Python and in C.
 
 Both take two iterations of the solver in each sampling period of 10 ms, and their closed loops agree to rounding.
 """

@@ -1,6 +1,6 @@
-"""A tumbling satellite as an FMU: written by twistax, simulated by FMPy, beside `tx.integrate`.
+"""A tumbling satellite as an FMU: written by twistax, simulated by FMPy, and compared with `tx.integrate`.
 
-Other tools exchange the attitude as a unit quaternion; co-simulation takes the steps of `tx.integrate` in C.
+The FMU exchanges the attitude as a unit quaternion. Co-simulation takes the steps of `tx.integrate` in C.
 """
 
 import importlib.util

@@ -1,4 +1,4 @@
-"""Four-bar linkage: a closed kinematic loop in motion, and the constraint force in its pin."""
+"""Four-bar linkage: the motion of a closed kinematic loop, and the constraint force in its pin."""
 
 import jax
 import numpy as np

@@ -1,4 +1,4 @@
-"""Free rigid body: its centre of mass is off its origin, and its momentum in the world frame is conserved."""
+"""Free rigid body: the centre of mass is not at the origin, and the momentum in the world frame is conserved."""
 
 import jax
 import numpy as np

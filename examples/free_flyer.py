@@ -1,6 +1,6 @@
-"""Free-flyer docking: the fastest way of a small robot in a space station to its dock, turned by ninety degrees.
+"""Free-flyer docking: the fastest motion of a small robot in a space station to a dock, rotated by ninety degrees.
 
-The pose is one state on SE(3). Limits of the jets are those of the control, in the axes of the body.
+The pose is one state on SE(3). The limits of the jets are limits of the control, in body axes.
 """
 
 import jax

@@ -1,6 +1,6 @@
-"""Race through gates: a point mass flies through ten gates and back in least time, after OpenSCvx's drone races.
+"""Race through gates: a point mass flies through ten gates and back in minimum time, as in OpenSCvx's drone races.
 
-Gates are conditions at named nodes. The lengths of intervals are free, so nodes lie where gates are passed.
+Each gate is a constraint at a node. The lengths of intervals are free, so the times of passage are unknowns.
 """
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""GPS and INS: an invariant filter with 15 states flies through an outage; with Euler angles it claims too much."""
+"""GPS and INS: in a GPS outage an invariant filter is consistent, and a filter with Euler angles is optimistic."""
 
 import jax
 import jax.numpy as jnp

@@ -1,6 +1,6 @@
-"""Gyroscope: a fast top on its tip precesses about the vertical at a rate of m g l / (J3 w3), and nods.
+"""Gyroscope: a fast top on its tip precesses about the vertical at a rate of m g l / (J3 w3), with nutation.
 
-The attitude is a rotation, so nothing is singular when the axis passes through the vertical.
+The attitude is a state on SO(3), so there is no singularity when the axis is vertical.
 """
 
 import jax

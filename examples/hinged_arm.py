@@ -1,4 +1,4 @@
-"""Bearing force: a bar on a hinge is let go from the horizontal, and its joint reaction is that of the textbook."""
+"""Bearing force: a bar on a hinge is released from the horizontal, and its joint reaction agrees with the textbook."""
 
 import jax
 import numpy as np

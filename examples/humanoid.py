@@ -1,4 +1,4 @@
-"""Whole-body control: a humanoid reaches with a hand, its feet on the ground and its centre of mass above them."""
+"""Whole-body control: a humanoid reaches with a hand, with its feet on the ground and its centre of mass above them."""
 
 import jax
 import numpy as np

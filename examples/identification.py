@@ -1,4 +1,4 @@
-"""Payload identification: mass, centre and inertia of what a Panda holds, from torques with noise."""
+"""Payload identification: mass, centre of mass and inertia of the load of a Panda, from noisy torques."""
 
 from pathlib import Path
 

@@ -1,7 +1,7 @@
-"""Jump of a quadruped in the plane of its walk: the optimum decides when the feet leave the ground and where they land.
+"""Jump of a quadruped in the sagittal plane: the optimiser decides when the feet leave the ground and where they land.
 
 The trunk is a rigid body, the feet have no mass and move within reach of the hips. Each contact is a complementarity
-constraint, a gap and a normal force of which one is zero, with Coulomb friction.
+constraint: gap or normal force is zero. Friction is Coulomb's.
 """
 
 import jax

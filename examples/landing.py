@@ -1,6 +1,6 @@
-"""Powered descent: the landing of a rocket stage with most propellant left, replayed with two integrators.
+"""Powered descent: the landing of a rocket stage with minimum propellant, checked by simulations with two integrators.
 
-The system, twenty lines of expressions, is `twistax.scenes.powered_descent.system`. The full case with a figure is
+The system has twenty lines of expressions: `twistax.scenes.powered_descent.system`. The full case with a figure is
 `python -m twistax demo`.
 """
 

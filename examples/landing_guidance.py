@@ -1,6 +1,6 @@
-"""Guidance of a Mars landing: the optimal descent is solved again at 10 Hz, under dispersions, for a Monte Carlo.
+"""Guidance of a Mars landing: a Monte Carlo simulation in which the optimal descent is solved again at 10 Hz.
 
-Each flight starts elsewhere, with a stronger or weaker engine that its sensors tell, and winds that nothing tells.
+Initial state, engine thrust and wind are random. The guidance knows the thrust, but not the wind.
 """
 
 import jax

@@ -1,4 +1,4 @@
-"""A network in the rates: the friction of a pendulum is learned through the simulation, from measured angles."""
+"""A neural network in the rates: the friction of a pendulum is learned from measured angles, through the simulation."""
 
 import jax
 import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""Monte Carlo: where a spinning ball lands, over launch, drag and wind; a sweep that can be resumed.
+"""Monte Carlo: landing points of a spinning ball with random launch, drag and wind, in a sweep that can be resumed.
 
 python examples/monte_carlo.py                                              # 2,000 throws
 python examples/monte_carlo.py --count 1000000 --directory out/throws       # stop it and call it again

@@ -1,10 +1,10 @@
-"""Check-cases 1 to 10 of NASA/TM-2015-218675, beside the published simulations.
+"""Check-cases 1 to 10 of NASA/TM-2015-218675, compared with the published simulations.
 
-    python examples/nasa_check_cases.py                          where cases end, beside the published ends
+    python examples/nasa_check_cases.py                          final states, compared with the published ones
     python examples/nasa_check_cases.py DIR [--plot FILE]        differences from every trajectory in DIR over 30 s
 
 DIR holds the published trajectories as <case>/sim_<number>[_si].csv, in the folders of `twistax.scenes.published`.
-Cases whose folder is not there are left out.
+Cases without a folder are omitted.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Orbit of a satellite: the Earth's oblateness turns the orbital plane, by as much as the first-order theory says.
+"""Orbit of a satellite: the Earth's oblateness rotates the orbital plane at the rate of the first-order theory.
 
 The term J2 of the gravity field makes the node regress by 3/2 J2 (R/p)^2 n cos(i) (Vallado, Fundamentals of
-Astrodynamics and Applications, section 9.6). Sun-synchronous orbits live by it.
+Astrodynamics and Applications, section 9.6). Sun-synchronous orbits use this effect.
 """
 
 import jax

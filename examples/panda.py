@@ -1,4 +1,4 @@
-"""Panda from URDF: the arm falls with its motors off; five lines load and simulate it, and its energy is conserved."""
+"""Panda from URDF: five lines load and simulate the arm, which falls with its motors off and conserves its energy."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Payload: a Panda holds a load of which its model knows nothing; a fit to its torque sensors finds the load."""
+"""Payload: a Panda holds an unknown load, and a fit to its torque sensors estimates the load."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Quadrotor: flown from a table of rotor thrusts, with the gradient of where it ends with respect to that table."""
+"""Quadrotor: a simulation from a table of rotor thrusts, and the gradient of the final position in this table."""
 
 import jax
 import jax.numpy as jnp

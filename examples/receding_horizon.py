@@ -1,6 +1,6 @@
-"""Receding horizon: a quadrotor between two pillars, in gusts; every 50 ms a warm solve over the next second.
+"""Receding horizon: a quadrotor flies between two pillars in gusts, with a warm-started solve every 50 ms.
 
-The problem compiles once. Each step starts from the last plan, moved on by one interval with its multipliers.
+Each solve is over one second, and starts from the last plan, shifted by one interval. The problem compiles once.
 """
 
 import jax

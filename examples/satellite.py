@@ -1,4 +1,4 @@
-"""Reaction wheels: a satellite turns to its target with an antenna on a ball joint, at zero total momentum."""
+"""Reaction wheels: a satellite with an antenna on a ball joint turns to its target, with zero total momentum."""
 
 import jax
 import numpy as np

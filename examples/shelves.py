@@ -1,4 +1,4 @@
-"""Keep clear of obstacles: an arm reaches between two shelves, over them and back, by a differential controller."""
+"""Obstacle avoidance: a differential controller moves an arm between two shelves, over them and back."""
 
 from pathlib import Path
 

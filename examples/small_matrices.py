@@ -1,9 +1,9 @@
-"""Small dense mathematics in JAX on the CPU, as it is and with `tx.fast`: four programs that users reported as slow.
+"""Small matrices in JAX on the CPU, without and with `tx.fast`: four programs that users reported as slow.
 
-Each is a small version of one in an issue of https://github.com/jax-ml/jax: 36799 (products of 3x3 matrices in a scan,
-and many small solves), 40150 (the gradient of a scan that carries sixty scalars), 26145 (a neuron with Hodgkin and
-Huxley's equations, its gradient and a batch) and 26021 (the mass matrix of a chain, here of 20 joints). Results are
-compared first. JAX 0.11 and later run loops over scalars faster again: ratios depend on the version.
+Each is a small version of a program in an issue of https://github.com/jax-ml/jax: 36799 (products of 3x3 matrices in
+a scan, and many small solves), 40150 (the gradient of a scan that carries sixty scalars), 26145 (a neuron with Hodgkin
+and Huxley's equations, its gradient and a batch) and 26021 (the mass matrix of a chain, here of 20 joints). Results are
+compared before times. JAX 0.11 and later run loops over scalars faster, so ratios depend on the version.
 
     python examples/small_matrices.py            # everything, half a minute
     python examples/small_matrices.py --issue 26145 --repeat 3

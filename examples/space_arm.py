@@ -1,4 +1,4 @@
-"""Free-flying arm: motors of an arm turn the satellite it stands on, and the total momentum stays zero."""
+"""Free-flying arm: the motors of an arm rotate the satellite that carries it, and the total momentum stays zero."""
 
 import jax
 import numpy as np

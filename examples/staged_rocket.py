@@ -1,7 +1,7 @@
-"""A sounding rocket of two stages over a round, turning Earth: burn, drop, coast, burn, coast to apogee, fall.
+"""Sounding rocket of two stages over a round, rotating Earth: burn, separation, coast, burn, coast, descent.
 
-One system with parameters is compiled once for all phases. The origin of body axes is the nose, x points forward, so
-that dropping a stage leaves pose and twist as they are; the mass, its centre, the inertia and the engine change.
+One system with parameters is compiled once for all phases. The origin of body axes is the nose, and x points forward,
+so a separation does not change pose and twist. It changes mass, centre of mass, inertia and engine.
 """
 
 import jax

@@ -1,4 +1,4 @@
-"""Star tracker: a filter finds the attitude of a satellite and the bias of its gyroscope, within three deviations."""
+"""Star tracker: a filter estimates the attitude of a satellite and its gyroscope's bias, within three deviations."""
 
 import jax
 import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""A Stewart platform on six sprung legs, set in motion: its loops stay closed, and what one of its legs carries."""
+"""A Stewart platform on six legs with springs: its motion, the error of its loop closure, and the force in one leg."""
 
 import jax
 import numpy as np

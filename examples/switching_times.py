@@ -1,7 +1,7 @@
-"""Crane without swing: the fastest move of a load, with the switching times of its bang-bang force found exactly.
+"""Crane without swing: the fastest move of a load, with the exact switching times of its bang-bang force.
 
 The force is at its limits and jumps between them. With free node times the nodes move to the jumps, so four intervals
-are enough. Such long ones are best integrated by a method of high order.
+are enough. Such long intervals need an integration method of high order.
 """
 
 import jax

@@ -1,4 +1,4 @@
-"""Systems of systems: an engine with a lag pulls three wagons on springs, all joined from two small systems."""
+"""Systems of systems: an engine with a lag pulls three wagons on springs, joined from copies of two small systems."""
 
 import jax
 import numpy as np

@@ -1,6 +1,7 @@
 """Trot of a quadruped: three steps on diagonal pairs of feet, planned by inverse dynamics with contact forces.
 
-Accelerations and the forces of the feet are controls; the six freedoms of the trunk have no motor and are equalities.
+Accelerations and the forces of the feet are controls. The six degrees of freedom of the trunk have no motor: their
+forces are constrained to zero.
 """
 
 import jax

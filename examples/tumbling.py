@@ -1,7 +1,7 @@
-"""Unstable axis: a box spun about its middle axis turns over again and again, as Euler's equations say.
+"""Unstable axis: a box that spins about its intermediate axis turns over periodically, as Euler's equations predict.
 
-Its energy and the size of its angular momentum stay constant. The time between two turns is a complete elliptic
-integral of the first kind, which the simulation meets.
+Its energy and the size of its angular momentum are constant. The time between two turns agrees with the exact one,
+a complete elliptic integral of the first kind.
 """
 
 import jax

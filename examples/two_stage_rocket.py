@@ -1,9 +1,9 @@
-"""NASA's rocket of two stages from its DAVE-ML files, flown as case 17 of NASA/TM-2015-218675, four phases in a row.
+"""NASA's rocket of two stages from its DAVE-ML files: check-case 17 of NASA/TM-2015-218675, in four phases.
 
     python examples/two_stage_rocket.py DIR
 
 DIR holds the published files, two_stage_rocket/twostage_*.dml and Atmos_17_sim_06.csv. They are not part of twistax.
-What the simulation does that its files do not say was read from its own numbers: docs/flight.md.
+docs/flight.md lists details of NASA's simulation that are inferred from its trajectory, because the files omit them.
 """
 
 from __future__ import annotations

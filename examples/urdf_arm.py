@@ -1,4 +1,4 @@
-"""Arm from URDF: five lines from the file to the motion, and the joint wrench that its slide carries."""
+"""Arm from URDF: five lines load and simulate an arm, and compute the joint wrench in its prismatic joint."""
 
 from pathlib import Path
 

@@ -1,11 +1,11 @@
-"""Two published formulas put beside ours, to see in physics what a wrong block or a wrong sign does.
+"""Two published formulas compared with those of twistax: the physical effect of a wrong block and of a wrong sign.
 
 1. OpenSCvx 0.5.2 documents twists as [v; w], but its coadjoint reads the momentum in the other order. A ball that
-   spins and is pushed by nothing must fly straight on. With the published formula it flies in a circle.
+   spins, without a force, must move on a straight line. With the published formula it moves in a circle.
 2. A Runge-Kutta-Munthe-Kaas step with g' = g Omega^ and g = g_n Exp(eta) needs dexp^-1 at -eta. With +eta, as printed
    in the first edition of Aetherion's unified notation, the classical fourth-order method has order 2.
 
-Run it with `--plot FILE` to choose where the figure goes. The other rows of the table stand in docs/conventions.md.
+`--plot FILE` sets the file of the figure. docs/conventions.md lists all errors in the sources.
 """
 
 import argparse
