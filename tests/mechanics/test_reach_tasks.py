@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import twistax as tx
+from evaluated import evaluated
 from twistax import mechanics
 from twistax.errors import InputError, ModelError
 from twistax.mechanics import (
@@ -35,7 +36,7 @@ def test_a_posture_is_of_the_second_priority() -> None:
     q = np.asarray(result.x["q"])
     assert result.distance[0] < 1e-5
     # At an optimum the gradient has no part along the circle: it is a combination of the rows of J.
-    J = np.asarray(tx.lower(mechanics.frame_jacobian(arm, "tip", axes=mechanics.ALIGNED)[:2])(0.0, {"q": q}))
+    J = np.asarray(evaluated(mechanics.frame_jacobian(arm, "tip", axes=mechanics.ALIGNED)[:2], {"q": q}))
     left = (wanted - q) - J.T @ np.linalg.lstsq(J.T, wanted - q, rcond=None)[0]
     assert np.linalg.norm(left) < 1e-4
     alone = np.asarray(reach(arm, {"tip": target}, start={"q": np.array([0.1, 0.8, 0.5])}).x["q"])
@@ -83,10 +84,10 @@ def test_a_panda_reaches_over_a_shelf_in_batches() -> None:
 def test_tasks_without_targets_of_frames() -> None:
     arm = mechanics.chain_models.equal_links(3)
     there = {"q": np.array([0.4, -0.8, 0.5])}
-    center, tip = tx.lower([mechanics.center_of_mass(arm), arm.pose("joint2")[:3, 3]])(0.0, there)
+    center, tip = evaluated([mechanics.center_of_mass(arm), arm.pose("joint2")[:3, 3]], there)
     result = reach(arm, {}, tasks=[CenterOfMassTask(center), PositionTask("joint2", tip)])
     assert result.status == ReachStatus.REACHED
-    found = tx.lower([mechanics.center_of_mass(arm), arm.pose("joint2")[:3, 3]])(0.0, result.x)
+    found = evaluated([mechanics.center_of_mass(arm), arm.pose("joint2")[:3, 3]], result.x)
     assert np.allclose(found[0], center, atol=1e-5)
     assert np.allclose(found[1], tip, atol=1e-5)
 
