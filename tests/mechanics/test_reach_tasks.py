@@ -69,7 +69,7 @@ def test_a_panda_reaches_over_a_shelf_in_batches() -> None:
     clear = {name: signed_distance(Sphere(0.09), shelf, arm.pose(name)) >= 0.02 for name in ("link4", "link5", "link7")}
     q = np.random.default_rng(1).uniform(arm.q.min, arm.q.max, size=(40, 7))
     flange = tx.lower(arm.pose("flange"))
-    p = np.asarray(jax.vmap(lambda q: flange(0.0, {"q": q}))(q))[:, :3, 3]
+    p = np.asarray(jax.jit(jax.vmap(lambda q: flange(0.0, {"q": q})))(q))[:, :3, 3]
     result = reach(arm, {"flange": p}, constraints=clear)
     reached = np.asarray(result.status) == ReachStatus.REACHED
     assert reached.mean() > 0.7
@@ -77,7 +77,7 @@ def test_a_panda_reaches_over_a_shelf_in_batches() -> None:
     assert np.asarray(result.distance)[reached].max() < 1e-5
     free = reach(arm, {"flange": p})
     values = tx.lower([constraint.residual() for constraint in clear.values()])
-    hits = np.asarray(jax.vmap(lambda q: values(0.0, {"q": q}))(free.x["q"])).max(axis=0)
+    hits = np.asarray(jax.jit(jax.vmap(lambda q: values(0.0, {"q": q})))(free.x["q"])).max(axis=0)
     assert (hits > 1e-3).sum() >= 2  # without constraints some positions are in the shelf
 
 
