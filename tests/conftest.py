@@ -8,12 +8,10 @@ import sys
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from types import FunctionType, NoneType
 from typing import Any
 
 import jax
 import jaxtyping
-import numpy as np
 import pytest
 from beartype import beartype
 from jaxtyping import install_import_hook
@@ -70,11 +68,8 @@ def checked(item: Any = None, **how: Any) -> Any:
     """
     if item is None:
         return functools.partial(checked, **how)
-    if isinstance(item, type):
+    if isinstance(item, type) or item.__module__.startswith(SHAPED):
         return _jaxtyped(item, **how)
-    if item.__module__.startswith(SHAPED):
-        strict = _jaxtyped(item, **how)
-        return strict if item.__name__.startswith("__") else checked_once(item, strict)
     if "<locals>" in item.__qualname__ or not item.__annotations__:
         return item
     strict = None
@@ -90,45 +85,6 @@ def checked(item: Any = None, **how: Any) -> Any:
         return strict(*args, **kwargs)
 
     return call
-
-
-def checked_once(item: Any, strict: Any) -> Any:
-    """`item`, checked as `strict` is for the first arguments of each type, shape and precision."""
-    passed = set[Any]()
-
-    @functools.wraps(item)
-    def call(*args: Any, **kwargs: Any) -> Any:
-        kinds = kind_of((*args, kwargs))
-        if jaxtyping.config.jaxtyping_disable or kinds in passed:
-            return item(*args, **kwargs)
-        result = strict(*args, **kwargs)
-        if NEW not in kinds:
-            passed.add(kinds)
-        return result
-
-    return call
-
-
-#: Of a value whose class says too little.
-NEW = object()
-
-
-def kind_of(value: Any) -> tuple[Any, ...]:
-    """What an annotation can tell of a value, in one tuple of things that have a hash."""
-    if isinstance(value, (jax.Array, np.ndarray, np.generic)):
-        return type(value), value.shape, value.dtype
-    if isinstance(value, (list, tuple)):
-        return type(value), len(value), *(part for entry in value for part in kind_of(entry))
-    if isinstance(value, dict):
-        return type(value), len(value), *value, *kind_of(tuple(value.values()))
-    if isinstance(value, (float, FunctionType)):
-        return (type(value),)
-    if isinstance(value, (str, int, type, NoneType)):
-        return (value,)
-    try:
-        return (type(value), hash(value)) if type(value).__module__.startswith(SHAPED) else (NEW,)
-    except (AttributeError, TypeError):  # a group that is being made, or has no hash
-        return (NEW,)
 
 
 def known(hint: Any, names: dict[str, Any]) -> Any:
