@@ -226,10 +226,11 @@ def mutants_of(path: Path, source: bytes) -> Iterator[Mutant]:
 def mutants_of_llvm(path: Path, source: bytes) -> Iterator[Mutant]:
     """All mutants of the solver's core, whose C stands compiled into LLVM's language: other arithmetic and bounds."""
     other = {b"fadd": "fsub", b"fsub": "fadd", b"fmul": "fdiv", b"fdiv": "fmul", b"olt": "oge", b"ogt": "ole"}
+    line, before = 1, 0
     for match in re.finditer(rb" = (?:contract )?(fadd|fsub|fmul|fdiv|fcmp (?:contract )?(?:olt|ogt)) .*", source):
         word = match[1].split()[-1]
         span = (match.end(1) - len(word), match.end(1))
-        line = source.count(b"\n", 0, span[0]) + 1
+        line, before = line + source.count(b"\n", before, span[0]), span[0]
         yield Mutant(path, line, "instruction", span, match[0].decode(), other[word])
 
 

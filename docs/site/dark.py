@@ -35,7 +35,10 @@ def save_figures_twice() -> None:
             before = list(_colors(figure))
             for artist, name, color in before:
                 getattr(artist, f"set_{name}")(swapped(color))
+            layout = figure.get_layout_engine()
+            figure.set_layout_engine("none")  # its parts stand where they are: to place them takes half of the time
             save(figure, dark_name(path), *arguments, **options)
+            figure.set_layout_engine(layout)
             for artist, name, color in before:
                 getattr(artist, f"set_{name}")(color)
 

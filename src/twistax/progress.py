@@ -55,7 +55,7 @@ class Progress:
             cost.format(0.0)
         except (ValueError, IndexError, KeyError, AttributeError):
             raise TrajectoryError(f"Progress expects cost such as 'mass {{:.0f}} kg', got {cost!r}") from None
-        self._what, self._cost, self._text = what, cost, ""
+        self.what, self._cost, self._text = what, cost, ""
         self._stream = sys.stderr if stream is None else stream
         self._logs = LOGGER.isEnabledFor(logging.INFO) and LOGGER.hasHandlers()
         self._live = not self._logs and self._stream.isatty()
@@ -86,7 +86,7 @@ class Progress:
             with contextlib.suppress(ValueError):
                 _WATCHED.remove(self)
             self.close()
-            within = any(line._what == self._what for line in _WATCHED)  # the outer one shows the seconds of both
+            within = any(line.what == self.what for line in _WATCHED)  # the outer one shows the seconds of both
             if self._waited and self._patience and not within:
                 self._write(f"took {time.perf_counter() - self._begin:.1f} s", live=False)
 
@@ -130,7 +130,7 @@ class Progress:
             self._write(f"{seen()}   {now - self._begin:5.1f} s", live and self._live)
 
     def _write(self, text: str, live: bool) -> None:
-        line = f"{self._what:<9} {text}"
+        line = f"{self.what:<9} {text}"
         with self._lock:
             if self._logs:
                 LOGGER.info(line)

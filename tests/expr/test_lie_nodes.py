@@ -321,9 +321,8 @@ def test_an_adjoint_times_a_vector_never_builds_the_matrix(order: tx.Order) -> N
 _TURN = np.asarray(tx.SO3.exp(np.array([0.4, -1.1, 0.6])))
 
 
-@pytest.mark.parametrize("matrix", [np.diag([1.0, 1.0, -1.0]), -np.eye(3), -_TURN, np.zeros((3, 3))], ids=str)
 @pytest.mark.parametrize("path", ["lower", tx.XLA(least=0), tx.Native(least=0)], ids=str)
-def test_logarithms_of_reflections_are_nan(path: Any, matrix: np.ndarray) -> None:
+def test_logarithms_of_reflections_are_nan(path: Any) -> None:
     """Values and derivatives, whatever is known of the matrix: a number would look like a rotation vector."""
     R, T = tx.State("R", group=tx.SO3), tx.State("T", shape=(4, 4))
     logs = {"R": tx.lie.SO3Log(R), "T": tx.lie.SE3Log(T)}
@@ -331,16 +330,17 @@ def test_logarithms_of_reflections_are_nan(path: Any, matrix: np.ndarray) -> Non
         function = tx.lower(logs)
     else:
         function = tx.compile(tx.System({R: np.zeros(3), T: 0.0 * T}, outputs=logs), backend=path).outputs
-    for good in (True, False):
-        rotation = _TURN if good else matrix
+    value_and_tangent = jax.jit(lambda x, moved: jax.jvp(lambda x: function(0.0, x), (x,), (moved,)))
+    gradient = jax.jit(jax.grad(lambda R, x: function(0.0, {**x, "R": R})["R"].sum()))
+    for rotation in (_TURN, np.diag([1.0, 1.0, -1.0]), -np.eye(3), -_TURN, np.zeros((3, 3))):
+        good = rotation is _TURN
         x = {"R": rotation, "T": np.block([[rotation, np.ones((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]])}
         moved = {"R": _TURN @ skew(np.ones(3)), "T": np.zeros((4, 4))}
-        values, tangents = jax.jvp(jax.jit(lambda x: function(0.0, x)), (x,), (moved,))
+        values, tangents = value_and_tangent(x, moved)
         assert np.isfinite(values["R"]).all() == np.isfinite(values["T"]).all() == good
         assert np.isfinite(tangents["R"]).all() == good
         if not good:
             assert np.isnan(values["R"]).all()
             assert np.isnan(values["T"]).all()
             assert np.isnan(tangents["R"]).all()
-            gradient = jax.grad(lambda R, x=x: function(0.0, {**x, "R": R})["R"].sum())(x["R"])
-            assert np.isnan(gradient).any()
+            assert np.isnan(gradient(rotation, x)).any()

@@ -16,7 +16,7 @@ from twistax.groups import (
     SpecialEuclidean,
     SpecialOrthogonal,
 )
-from twistax.groups.power import Power
+from twistax.groups.power import GroupPower
 
 #: Every class of groups of the package, as it makes examples of itself, and products of all kinds.
 CLASSES = concrete_classes(Group)
@@ -47,7 +47,7 @@ def hat(group, xi):
         return np.block([[skew(xi[:3]), columns], [np.zeros((columns.shape[1], 3 + columns.shape[1]))]])
     if isinstance(group, Euclidean):
         return translation(xi)
-    if isinstance(group, Power):
+    if isinstance(group, GroupPower):
         return block_diag(*(hat(group.group, row) for row in xi.reshape(group.count, -1)))
     if not isinstance(group, Product):
         raise NotImplementedError(f"write hat and represent of {group.name} here, independently of the group")
@@ -64,7 +64,7 @@ def represent(group, g):
         return translation(np.asarray(g)) + np.eye(group.dimension + 1)
     if isinstance(group, Product):
         return block_diag(*(represent(factor, g[name]) for name, factor in group.factors.items()))
-    if isinstance(group, Power):
+    if isinstance(group, GroupPower):
         return block_diag(*(represent(group.group, row) for row in g))
     return np.asarray(g)
 

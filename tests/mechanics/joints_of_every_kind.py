@@ -1,7 +1,6 @@
 """A tree with joints of every kind, and Lagrange's equations of its point masses."""
 
 import functools
-from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -10,9 +9,7 @@ import numpy as np
 from mechanics_oracles import Cloud, body_of, pose
 from scipy.linalg import expm
 
-import twistax as tx
 from oracles import hat
-from twistax.expr import leaves_of
 from twistax.mechanics import Drive, Link, Mechanism, Mimic, joints
 
 GRAVITY = np.array([0.7, -1.1, -9.6])
@@ -139,9 +136,3 @@ def free_tree() -> Tree:
 @functools.cache
 def mimicking_tree() -> Tree:
     return Tree(Mimic("slide", ratio=-1.7, offset=0.4))
-
-
-def evaluated(expressions: Mapping[str, tx.Expr], inputs: dict[str, Any]) -> dict[str, np.ndarray]:
-    used = {leaf.name for leaf in leaves_of(*expressions.values())}
-    values = {name: value for name, value in inputs.items() if name in used}
-    return {name: np.asarray(value) for name, value in jax.jit(tx.lower(dict(expressions)))(0.0, values).items()}

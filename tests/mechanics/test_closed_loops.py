@@ -11,6 +11,7 @@ import pytest
 from mechanics_oracles import Cloud, body_of, pose
 
 import twistax as tx
+from evaluated import evaluated
 from twistax import mechanics
 from twistax.mechanics import Drive, Link, Mechanism, SpatialInertia, joints, loops
 
@@ -55,7 +56,7 @@ class Both:
             "one": qdd[:6],
             "F": mechanics.joint_wrench(self.tree, "pin", qdd=qdd, wrenches={"two": push}),
         }
-        tree = tx.lower(found)(0.0, x)
+        tree = evaluated(found, x)
         state = {
             "one_position": x["one_position"],
             "two_position": tree["pose"],
@@ -64,14 +65,15 @@ class Both:
         forces = np.concatenate([tau[:6], np.zeros(6)])
         qdd, carried = mechanics.closed_dynamics(self.closed, tau=forces, wrenches={"two": push})
         everything = mechanics.loop_wrenches(self.closed, tau=forces, wrenches={"two": push})
-        closed = tx.lower(
+        closed = evaluated(
             {
                 "qdd": qdd,
                 "carried": carried,
                 "needed": mechanics.inverse_dynamics(self.closed, qdd=qdd, wrenches=everything),
                 "gaps": [mechanics.loop_gap(self.closed, loop.name) for loop in self.closed.loops],
-            }
-        )(0.0, state)
+            },
+            state,
+        )
         return tree, closed, forces, self.closed
 
 
@@ -147,6 +149,7 @@ def moving() -> tx.Dynamics:
     return tx.compile(robot.system(controls=[], outputs=outputs))
 
 
+@jax.jit
 def angles(a: jax.Array) -> jax.Array:
     """Of the coupler and the rocker, from the x axis, by the triangle between crank and rocker; above the ground."""
     reach = jnp.array([GROUND - CRANK * jnp.cos(a), CRANK * jnp.sin(a)])
@@ -158,8 +161,7 @@ def angles(a: jax.Array) -> jax.Array:
 
 
 def start() -> dict[str, Any]:
-    a, rate = jnp.asarray(-0.9), jnp.asarray(3.0)
-    q, qd = jax.jvp(angles, (a,), (rate,))
+    q, qd = jax.jit(lambda a, rate: jax.jvp(angles, (a,), (rate,)))(-0.9, 3.0)
     relative = np.array([[1.0, 0.0, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
     return {"q": relative @ q, "qd": relative @ qd}
 
@@ -187,9 +189,14 @@ def test_a_four_bar_linkage_by_its_one_angle() -> None:
         return kinetic - potential
 
     a, rate = jnp.asarray(-0.9), jnp.asarray(3.0)
-    moment = jax.grad(lagrangian, 1)
-    turned = jax.grad(lagrangian)(a, rate) - jax.grad(moment)(a, rate) * rate
-    expected = turned / jax.grad(moment, 1)(a, rate)
+
+    @jax.jit
+    def acceleration(a: jax.Array, rate: jax.Array) -> jax.Array:
+        moment = jax.grad(lagrangian, 1)
+        turned = jax.grad(lagrangian)(a, rate) - jax.grad(moment)(a, rate) * rate
+        return turned / jax.grad(moment, 1)(a, rate)
+
+    expected = acceleration(a, rate)
     x = start()
     found = moving()(0.0, x)["qd"]
     np.testing.assert_allclose(found[0], expected, rtol=1e-10)
@@ -214,7 +221,7 @@ def off(x: dict[str, Any], by: float) -> dict[str, Any]:
 def test_a_linkage_stays_closed_and_keeps_its_energy() -> None:
     dynamics, x = moving(), start()
     sol = tx.integrate(dynamics, x, t1=3.0, rtol=1e-10, atol=1e-10, save_at=np.linspace(0.0, 3.0, 31))
-    found = jax.vmap(lambda t, x: dynamics.outputs(t, x))(sol.ts, sol.xs)
+    found = sol.outputs
     assert np.abs(found["gap"]).max() < 1e-13
     energy = np.asarray(found["energy"])
     assert np.ptp(energy) < 1e-9 * np.abs(energy).max()
@@ -292,7 +299,7 @@ def test_a_linkage_over_a_hundred_seconds() -> None:
     dynamics, x = moving(), start()
     for tolerance, bound in ((1e-8, 1e-5), (1e-10, 1e-8), (1e-12, 1e-10)):
         sol = tx.integrate(dynamics, x, t1=100.0, rtol=tolerance, atol=tolerance, save_at=np.linspace(0.0, 100.0, 501))
-        found = jax.vmap(lambda t, x: dynamics.outputs(t, x))(sol.ts, sol.xs)
+        found = sol.outputs
         energy = np.asarray(found["energy"])
         assert np.abs(found["gap"]).max() < 1e-12
         assert np.ptp(energy) < bound * np.abs(energy).max()
@@ -338,7 +345,7 @@ def test_a_stewart_platform_over_a_hundred_seconds() -> None:
     dynamics = tx.compile(system)
     times = np.linspace(0.0, 100.0, 201)
     sol = tx.integrate(dynamics, dynamics.project(0.0, x), t1=100.0, rtol=1e-10, atol=1e-10, save_at=times)
-    found = jax.vmap(lambda t, x: dynamics.outputs(t, x))(sol.ts, sol.xs)
+    found = sol.outputs
     energy = np.asarray(found["energy"])
     assert np.abs(found["gap"]).max() < 1e-10
     assert np.ptp(energy) < 1e-8 * np.abs(energy).max()

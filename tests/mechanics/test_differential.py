@@ -13,7 +13,7 @@ import pytest
 from joints_of_every_kind import mimicking_tree
 from mechanics_oracles import pose
 
-import twistax as tx
+from evaluated import evaluated
 from twistax import mechanics
 from twistax.errors import InputError, ModelError
 from twistax.mechanics import (
@@ -38,7 +38,7 @@ HOME = np.array([0.0, -0.4, 0.0, -2.0, 0.0, 1.6, 0.8])
 def panda() -> tuple[Mechanism, np.ndarray]:
     """The arm, and a pose of its flange that it can reach from HOME."""
     arm = mechanics.load(EXAMPLES / "panda.urdf")
-    T = np.array(tx.lower(arm.pose("flange"))(0.0, {"q": HOME}))
+    T = np.array(evaluated(arm.pose("flange"), {"q": HOME}))
     T[:3, 3] += [0.05, 0.02, -0.1]
     return arm, T
 
@@ -80,7 +80,7 @@ def test_the_velocities_are_the_optimum_of_the_stated_program() -> None:
     controller = DifferentialController(tree, [frame, posture], dt=dt, speed=0.4, regularization=1e-6)
     step = controller(x)
     parts = [task.jacobian(tree) for task in (frame, posture)], [task.error(tree) for task in (frame, posture)]
-    (J, S), (e, f) = tx.lower(list(map(list, parts)))(0.0, x)
+    (J, S), (e, f) = evaluated(list(map(list, parts)), x)
     above, below = (np.asarray(m) for m in controller.space.margins({k: jnp.asarray(v) for k, v in x.items()}, float))
     low, high = (np.clip(0.5 * m / dt, -0.4, 0.4) for m in (above, below))
     rows = np.vstack([J, 0.3 * S, 1e-3 * np.eye(tree.dofs)])
@@ -102,7 +102,7 @@ def test_a_frame_arrives_and_the_rest_keeps_its_posture() -> None:
         x = step.x
     assert np.linalg.norm(step.errors[0]) < 1e-5
     assert step.iterations == 0  # from the start of the step before
-    assert np.abs(tx.lower(arm.pose("flange"))(0.0, x) - T).max() < 1e-5
+    assert np.abs(evaluated(arm.pose("flange"), x) - T).max() < 1e-5
     moved = controller(x, {"flange_pose": T, "posture": HOME + 0.1})
     assert np.allclose(moved.errors[1], HOME + 0.1 - x["q"])
 
@@ -184,7 +184,7 @@ def test_a_constraint_is_approached_and_kept() -> None:
         gaps.append(clear - float(step.constraints[0]))
     assert min(gaps) > clear - 1e-4
     assert gaps[-1] < clear + 1e-3
-    assert np.isclose(float(tx.lower(distance)(0.0, x)), gaps[-1], atol=1e-6)
+    assert np.isclose(float(evaluated(distance, x)), gaps[-1], atol=1e-6)
 
 
 def test_in_programs_of_jax_and_in_single_precision() -> None:
@@ -201,7 +201,7 @@ def test_in_programs_of_jax_and_in_single_precision() -> None:
 
     last, statuses = jax.lax.scan(run, jnp.asarray(HOME), None, length=30)
     assert np.all(statuses == StepStatus.SOLVED)
-    assert np.abs(tx.lower(arm.pose("flange"))(0.0, {"q": last}) - T).max() < 1e-4
+    assert np.abs(evaluated(arm.pose("flange"), {"q": last}) - T).max() < 1e-4
     small = controller({"q": q[0].astype(np.float32)}, {"flange_pose": T.astype(np.float32)})
     assert small.qd.dtype == np.float32
     assert np.allclose(small.qd, batch.qd[0], rtol=1e-3, atol=1e-3)

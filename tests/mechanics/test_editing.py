@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from joints_of_every_kind import Tree, evaluated, free_tree, mimicking_tree
+from joints_of_every_kind import Tree, free_tree, mimicking_tree
 from mechanics_oracles import Cloud, body_of, pose
 
 import twistax as tx
+from evaluated import evaluated
 from twistax import mechanics
 from twistax.errors import ModelError, ShapeError
 from twistax.mechanics import Drive, Link, Mechanism, SpatialInertia, joints, loops

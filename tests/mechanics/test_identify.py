@@ -11,6 +11,7 @@ from mechanics_oracles import Cloud, body_of
 from test_editing import near
 
 import twistax as tx
+from evaluated import evaluated
 from twistax import mechanics
 from twistax.errors import InputError, ModelError
 from twistax.mechanics import Drive, IdentificationStatus, Link, Mechanism, SpatialInertia, identify, joints
@@ -45,9 +46,9 @@ def arm(mass: float = 1.0, length: float = 1.0) -> Mechanism:
     for i, axis in enumerate((Z, Y, Y)):
         body = body_of(Cloud.random(rng, 6))
         part = SpatialInertia(
-            mass=mass * np.asarray(tx.lower(body.mass)(0.0, {})),
-            center_of_mass=0.2 * length * np.asarray(tx.lower(body.center_of_mass)(0.0, {})),
-            inertia=0.04 * mass * length**2 * np.asarray(tx.lower(body.inertia)(0.0, {})),
+            mass=mass * np.asarray(evaluated(body.mass)),
+            center_of_mass=0.2 * length * np.asarray(evaluated(body.center_of_mass)),
+            inertia=0.04 * mass * length**2 * np.asarray(evaluated(body.inertia)),
         )
         torque = mass * length**2
         drive = Drive(stiffness=3.0 * torque, rest=0.1, damping=0.4 * torque, friction=0.3 * torque, friction_speed=0.2)
@@ -80,7 +81,7 @@ def noisy(data: dict[str, np.ndarray], sigma: Any, seed: int = 0) -> dict[str, n
 
 def truth(real: Mechanism, result: mechanics.Identification, drives: list[str]) -> np.ndarray:
     regressor = mechanics.inverse_dynamics_regressor(real, drives=drives)
-    theta = dict(zip(regressor.names, np.asarray(tx.lower(regressor.parameters)(0.0, {})), strict=True))
+    theta = dict(zip(regressor.names, np.asarray(evaluated(regressor.parameters)), strict=True))
     return result.combinations @ np.array([theta[name] for name in result.parameters])
 
 

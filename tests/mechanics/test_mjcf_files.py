@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import twistax as tx
+from evaluated import evaluated
 from twistax import mechanics
 from twistax.mechanics import load
 
@@ -39,7 +40,7 @@ def test_within_a_folder_files_beside_the_model_are_read(tmp_path: Path, uncheck
     path = beside(tmp_path)
     for within in (tmp_path / "pack", str(tmp_path)):
         (body,) = load(path, within=within).bodies.values()
-        np.testing.assert_allclose(tx.lower(body.mass)(0.0), 1.0, rtol=1e-6)
+        np.testing.assert_allclose(evaluated(body.mass), 1.0, rtol=1e-6)
     with pytest.raises(
         tx.ModelError, match=r"line 2, <include>: the file '../parts/arm.xml' lies outside(.|\n)*within='.*pack'"
     ):
@@ -130,7 +131,7 @@ def test_a_chain_of_joints_follows_one(driven: str, tmp_path: Path) -> None:
     mujoco.mj_forward(peer, data)
     active = np.asarray(data.efc_type) == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
     np.testing.assert_allclose(np.sort(np.abs(data.efc_pos[active]))[:2], 0.0, atol=1e-12)
-    place = np.asarray(tx.lower(robot.pose("tip"))(0.0, {"q": np.array([angles[driven]])}))
+    place = np.asarray(evaluated(robot.pose("tip"), {"q": np.array([angles[driven]])}))
     np.testing.assert_allclose(place[:3, :3], data.body("tip").xmat.reshape(3, 3), atol=1e-12)
 
 
@@ -167,7 +168,7 @@ def test_a_scene_in_which_nothing_moves_has_frames(tmp_path: Path) -> None:
     )
     loaded = load(path)
     assert "there is no joint, so nothing moves" in loaded.notes
-    np.testing.assert_array_equal(tx.lower(loaded.pose("table"))(0.0)[:3, 3], [0.0, 0.0, 0.7])
+    np.testing.assert_array_equal(evaluated(loaded.pose("table"))[:3, 3], [0.0, 0.0, 0.7])
     with pytest.raises(tx.ModelError, match="system expects a mechanism with a joint that moves"):
         loaded.system()
     for function in (mechanics.mass_matrix, mechanics.bias_forces, mechanics.kinetic_energy):

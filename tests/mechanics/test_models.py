@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import twistax as tx
+from evaluated import evaluated
 from twistax import mechanics
 from twistax.mechanics import load
 
@@ -115,7 +116,7 @@ def test_places_and_energies_of_a_file(path: Path, values: dict[str, list[float]
         potential += 9.81 * mass * T[2, 3]
     wanted = {name: robot.pose(name) for name in tips}
     wanted |= {"T": mechanics.kinetic_energy(robot), "V": mechanics.potential_energy(robot)}
-    found = tx.lower(wanted)(0.0, {"q": q, "qd": qd})
+    found = evaluated(wanted, {"q": q, "qd": qd})
     for name in tips:
         np.testing.assert_allclose(found[name], here[name], atol=1e-12)
     np.testing.assert_allclose(found["T"], kinetic, rtol=1e-8)
@@ -168,14 +169,13 @@ def test_axis_as_a_parameter_has_the_subspaces_of_one_that_is_not() -> None:
     for kind in (mechanics.joints.Revolute, mechanics.joints.Prismatic):
         for axis in ([0.3, -2.0, 0.4], [0.0, 0.0, -5.0]):
             joint, plain = kind("a", tx.Parameter("n", value=np.array(axis))), kind("a", axis)
-            H, h, carried, T = tx.lower(
-                (joint.motion_subspace, joint.actuation_basis, joint.constraint_basis, joint.transform)
-            )(0.0, {"a_position": np.array([0.7])})
+            parts = (joint.motion_subspace, joint.actuation_basis, joint.constraint_basis, joint.transform)
+            H, h, carried, T = evaluated(parts, {"a_position": np.array([0.7])})
             np.testing.assert_allclose(H, plain.motion_subspace.value, atol=1e-15)
             np.testing.assert_allclose(h, plain.actuation_basis.value, atol=1e-15)
             np.testing.assert_allclose(carried.T @ H, 0.0, atol=1e-15)
             assert np.linalg.matrix_rank(np.hstack([h, carried])) == 6
-            expected = tx.lower(plain.transform)(0.0, {"a_position": np.array([0.7])})
+            expected = evaluated(plain.transform, {"a_position": np.array([0.7])})
             np.testing.assert_allclose(T, expected, atol=1e-15)
 
 
@@ -201,7 +201,7 @@ def test_inertias_that_no_body_has_are_taken_where_that_is_asked_for(tmp_path: P
     robot = load(written(tmp_path, ixx="5"), physical=False)
     assert any("'b' has a mass or inertia that no body has" in note for note in robot.notes)
     x: Any = np.zeros(1)
-    np.testing.assert_allclose(tx.lower(mechanics.aba(robot, x, x, np.ones(1)))(0.0), [1.0])
+    np.testing.assert_allclose(evaluated(mechanics.aba(robot, x, x, np.ones(1))), [1.0])
 
 
 @pytest.mark.parametrize(

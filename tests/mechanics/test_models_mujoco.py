@@ -10,6 +10,7 @@ import pytest
 from mujoco_models import mujoco_model
 
 import twistax as tx
+from evaluated import evaluated
 from twistax import mechanics
 from twistax.expr import leaves_of
 from twistax.mechanics import Mechanism
@@ -201,7 +202,7 @@ def test_what_a_file_switches_off_does_not_act(option: str, tmp_path: Path) -> N
     data.qpos[0], data.qvel[0], data.ctrl[0] = 0.3, 1.0, 0.1
     mujoco.mj_forward(model, data)
     control = {"tau": data.ctrl} if robot.driven else {}
-    found = tx.lower(robot.system().rates["qd"])(0.0, {"q": data.qpos, "qd": data.qvel}, control)
+    found = evaluated(robot.system().rates["qd"], {"q": data.qpos, "qd": data.qvel}, control)
     np.testing.assert_allclose(found, data.qacc, rtol=1e-12)
 
 
@@ -219,7 +220,7 @@ def test_parameters_of_a_joint_are_its_own_beside_a_servo(tmp_path: Path) -> Non
     data.qpos[0], data.qvel[0], data.ctrl[0] = 0.3, 1.0, 0.1
     mujoco.mj_forward(model, data)
     state, other = {"q": data.qpos, "qd": data.qvel}, {"h_stiffness": 50.0, "h_damping": 5.0}
-    np.testing.assert_allclose(tx.lower(rates)(0.0, state, {"tau": data.ctrl}, other), data.qacc, rtol=1e-12)
+    np.testing.assert_allclose(evaluated(rates, state, {"tau": data.ctrl}, other), data.qacc, rtol=1e-12)
 
 
 LINKAGE = """<mujoco>
@@ -288,7 +289,7 @@ def test_equalities_are_loops_and_followers(driven: str, tmp_path: Path) -> None
     held = np.block([[M, J.T], [J, np.zeros((len(J), len(J)))]])
     force = data.qfrc_actuator + data.qfrc_passive - data.qfrc_bias
     expected = np.linalg.solve(held, [*force, *np.zeros(len(J))])[: model.nv]
-    found = np.asarray(tx.lower(robot.system().rates["qd"])(0.0, x, {"tau": data.ctrl}))
+    found = np.asarray(evaluated(robot.system().rates["qd"], x, {"tau": data.ctrl}))
     for name in ("a", "b", "c", lead, "afloat"):
         at = model.joint(name).dofadr[0]
         own = list(robot.segment_of(name).freedoms)
@@ -307,7 +308,7 @@ def place_of(robot: Mechanism, data: Any, follower: str) -> np.ndarray:
 
 
 def lower_pose(robot: Mechanism, frame: str, x: dict[str, np.ndarray]) -> np.ndarray:
-    return np.asarray(tx.lower(robot.pose(frame))(0.0, x))
+    return np.asarray(evaluated(robot.pose(frame), x))
 
 
 def test_equalities_that_say_nothing_are_noted(tmp_path: Path) -> None:
@@ -345,7 +346,7 @@ def test_numbers_of_a_file_become_parameters() -> None:
     q, _ = Pair(OWN / "machine.xml").positions(rng)
     state = {**q, "qd": rng.normal(size=machine.dofs), "x": rng.normal(size=machine.dofs)}
     ours = tx.lower(mechanics.inverse_dynamics(machine, qdd=x))
-    np.testing.assert_allclose(ours(0.0, state), tx.lower(mechanics.inverse_dynamics(plain, qdd=x))(0.0, state))
+    np.testing.assert_allclose(ours(0.0, state), evaluated(mechanics.inverse_dynamics(plain, qdd=x), state))
     assert np.abs(np.asarray(ours(0.0, state, {}, {"load_mass": 2.5}) - ours(0.0, state))).max() > 1e-3
 
 

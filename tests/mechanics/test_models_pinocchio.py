@@ -100,7 +100,7 @@ def compared(path: Path, floating: bool, count: int, seed: int = 0) -> None:
     ours, theirs = pair.states(rng, count)
     ours["qd"], ours["x"] = rng.normal(size=(2, count, n))
     values = {leaf.name: ours[leaf.name] for leaf in leaves_of(*wanted.values()) if leaf.name in ours}
-    found = jax.vmap(lambda each: tx.lower(wanted)(0.0, each))(values)
+    found = jax.jit(jax.vmap(lambda each: tx.lower(wanted)(0.0, each)))(values)
     found = {name: np.asarray(value) for name, value in found.items()}
     kinds = {BODY: pin.LOCAL, WORLD: pin.WORLD, ALIGNED: pin.LOCAL_WORLD_ALIGNED}
     for k in range(count):

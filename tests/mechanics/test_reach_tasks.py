@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import twistax as tx
+from evaluated import evaluated
 from twistax import mechanics
 from twistax.errors import InputError, ModelError
 from twistax.mechanics import (
@@ -35,7 +36,7 @@ def test_a_posture_is_of_the_second_priority() -> None:
     q = np.asarray(result.x["q"])
     assert result.distance[0] < 1e-5
     # At an optimum the gradient has no part along the circle: it is a combination of the rows of J.
-    J = np.asarray(tx.lower(mechanics.frame_jacobian(arm, "tip", axes=mechanics.ALIGNED)[:2])(0.0, {"q": q}))
+    J = np.asarray(evaluated(mechanics.frame_jacobian(arm, "tip", axes=mechanics.ALIGNED)[:2], {"q": q}))
     left = (wanted - q) - J.T @ np.linalg.lstsq(J.T, wanted - q, rcond=None)[0]
     assert np.linalg.norm(left) < 1e-4
     alone = np.asarray(reach(arm, {"tip": target}, start={"q": np.array([0.1, 0.8, 0.5])}).x["q"])
@@ -68,7 +69,7 @@ def test_a_panda_reaches_over_a_shelf_in_batches() -> None:
     clear = {name: signed_distance(Sphere(0.09), shelf, arm.pose(name)) >= 0.02 for name in ("link4", "link5", "link7")}
     q = np.random.default_rng(1).uniform(arm.q.min, arm.q.max, size=(40, 7))
     flange = tx.lower(arm.pose("flange"))
-    p = np.asarray(jax.vmap(lambda q: flange(0.0, {"q": q}))(q))[:, :3, 3]
+    p = np.asarray(jax.jit(jax.vmap(lambda q: flange(0.0, {"q": q})))(q))[:, :3, 3]
     result = reach(arm, {"flange": p}, constraints=clear)
     reached = np.asarray(result.status) == ReachStatus.REACHED
     assert reached.mean() > 0.7
@@ -76,17 +77,17 @@ def test_a_panda_reaches_over_a_shelf_in_batches() -> None:
     assert np.asarray(result.distance)[reached].max() < 1e-5
     free = reach(arm, {"flange": p})
     values = tx.lower([constraint.residual() for constraint in clear.values()])
-    hits = np.asarray(jax.vmap(lambda q: values(0.0, {"q": q}))(free.x["q"])).max(axis=0)
+    hits = np.asarray(jax.jit(jax.vmap(lambda q: values(0.0, {"q": q})))(free.x["q"])).max(axis=0)
     assert (hits > 1e-3).sum() >= 2  # without constraints some positions are in the shelf
 
 
 def test_tasks_without_targets_of_frames() -> None:
     arm = mechanics.chain_models.equal_links(3)
     there = {"q": np.array([0.4, -0.8, 0.5])}
-    center, tip = tx.lower([mechanics.center_of_mass(arm), arm.pose("joint2")[:3, 3]])(0.0, there)
+    center, tip = evaluated([mechanics.center_of_mass(arm), arm.pose("joint2")[:3, 3]], there)
     result = reach(arm, {}, tasks=[CenterOfMassTask(center), PositionTask("joint2", tip)])
     assert result.status == ReachStatus.REACHED
-    found = tx.lower([mechanics.center_of_mass(arm), arm.pose("joint2")[:3, 3]])(0.0, result.x)
+    found = evaluated([mechanics.center_of_mass(arm), arm.pose("joint2")[:3, 3]], result.x)
     assert np.allclose(found[0], center, atol=1e-5)
     assert np.allclose(found[1], tip, atol=1e-5)
 

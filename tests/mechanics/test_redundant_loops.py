@@ -79,13 +79,14 @@ def by_kkt(mechanism: Mechanism, x: dict[str, Any], length: float) -> tuple[np.n
     def lagrangian(q: Any, qd: Any) -> Any:
         return kinetic(0.0, {"q": q, "qd": qd}) - potential(0.0, {"q": q})
 
-    rows = jax.jacfwd(lambda q: gap(0.0, {"q": q}))
-    G, c = jax.jvp(lambda q: rows(q) @ qd, (q,), (qd,))
-    G = rows(q)
-    M = jax.hessian(lagrangian, 1)(q, qd)
-    moment = jax.grad(lagrangian, 1)
-    f = jax.grad(lagrangian)(q, qd) - jax.jvp(lambda q: moment(q, qd), (q,), (qd,))[1]
-    G, c, M, f = (np.asarray(a) for a in (G, c, M, f))
+    @jax.jit
+    def derivatives(q: Any, qd: Any) -> Any:
+        rows, moment = jax.jacfwd(lambda q: gap(0.0, {"q": q})), jax.grad(lagrangian, 1)
+        c = jax.jvp(lambda q: rows(q) @ qd, (q,), (qd,))[1]
+        f = jax.grad(lagrangian)(q, qd) - jax.jvp(lambda q: moment(q, qd), (q,), (qd,))[1]
+        return rows(q), c, jax.hessian(lagrangian, 1)(q, qd), f
+
+    G, c, M, f = map(np.asarray, derivatives(q, qd))
     measures = np.where(np.arange(len(G)) < 3, 1.0, length)
     scaled = measures[:, None] * G / length  # all joints turn
     U, sizes, _ = np.linalg.svd(scaled)
@@ -269,10 +270,10 @@ def test_bennetts_linkage_passes_its_flat_posture() -> None:
 def test_derivatives_and_batches_at_the_flat_posture() -> None:
     dynamics, x = bennett_moving(), bennett_at(0.0)
     outputs = lambda q: dynamics.outputs(0.0, {**x, "q": q})  # noqa: E731
-    slopes = jax.jacfwd(outputs)(jnp.asarray(x["q"]))
+    slopes = jax.jit(jax.jacfwd(outputs))(jnp.asarray(x["q"]))
     assert all(np.isfinite(each).all() for each in jax.tree.leaves(slopes))
-    back = jax.jacrev(lambda q: dynamics(0.0, {**x, "q": q})["qd"])(jnp.asarray(x["q"]))
-    forth = jax.jacfwd(lambda q: dynamics(0.0, {**x, "q": q})["qd"])(jnp.asarray(x["q"]))
+    rate = lambda q: dynamics(0.0, {**x, "q": q})["qd"]  # noqa: E731
+    back, forth = jax.jit(lambda q: (jax.jacrev(rate)(q), jax.jacfwd(rate)(q)))(jnp.asarray(x["q"]))
     assert np.isfinite(back).all()
     np.testing.assert_allclose(back, forth, rtol=1e-9, atol=1e-9 * np.abs(forth).max())
     many = jax.tree.map(lambda a: jnp.stack([a, a]), x)
@@ -288,7 +289,7 @@ def test_slopes_are_those_of_differences() -> None:
     def wrench(s: Any) -> Any:
         return dynamics.outputs(0.0, {"q": start()["q"] + s * along, "qd": start()["qd"]})["F"]
 
-    _, slope = jax.jvp(wrench, (jnp.zeros(()),), (jnp.ones(()),))
+    slope = jax.jit(jax.jacfwd(wrench))(jnp.zeros(()))
     h = 1e-5
     np.testing.assert_allclose(slope, (wrench(h) - wrench(-h)) / (2.0 * h), rtol=1e-6, atol=1e-6)
 

@@ -4,10 +4,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from joints_of_every_kind import evaluated, free_tree
+from joints_of_every_kind import free_tree
 from test_editing import four_bar, inputs, near, panda, random_state
 
 import twistax as tx
+from evaluated import evaluated
 from twistax import mechanics
 from twistax.errors import ModelError
 from twistax.mechanics import Drive, Mechanism

@@ -11,6 +11,7 @@ import pytest
 from mechanics_oracles import Cloud, pose
 
 import twistax as tx
+from evaluated import evaluated
 from oracles import skew
 from twistax.mechanics import (
     Chain,
@@ -221,8 +222,8 @@ def test_thirty_equal_links() -> None:
     chain = chain_models.equal_links(30)
     q, qd, tau = np.random.default_rng(4).normal(size=(3, 30))
     x = tx.State("x", shape=(30,))
-    accelerations = tx.lower(forward_dynamics(chain, q, qd, x))(0.0, {"x": tau})
-    forces = tx.lower(inverse_dynamics(chain, q, qd, x))(0.0, {"x": accelerations})
+    accelerations = evaluated(forward_dynamics(chain, q, qd, x), {"x": tau})
+    forces = evaluated(inverse_dynamics(chain, q, qd, x), {"x": accelerations})
     np.testing.assert_allclose(forces, tau, rtol=0.0, atol=1e-11)
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import twistax as tx
+from evaluated import evaluated
 from twistax import mechanics
 from twistax.mechanics import Mechanism, load
 
@@ -44,7 +45,7 @@ PAIR = (link("base"), link("rod", inertial()))
 def acceleration(mechanism: Mechanism, torque: float = 1.0) -> np.ndarray:
     """In a posture of zeros, at rest and without gravity."""
     n, afloat = mechanism.dofs, mechanism.replace(gravity=(0.0, 0.0, 0.0))
-    return np.asarray(tx.lower(mechanics.aba(afloat, np.zeros(n), np.zeros(n), np.full(n, torque)))(0.0))
+    return np.asarray(evaluated(mechanics.aba(afloat, np.zeros(n), np.zeros(n), np.full(n, torque))))
 
 
 # ---- refused ---------------------------------------------------------------------------------------------------------
@@ -195,8 +196,8 @@ def test_a_chain_of_followers_follows_the_first(tmp_path: Path) -> None:
         joint("one", "base", "rod"), joint("three", "c", "d"), joint("two", "rod", "c"),
     )  # fmt: skip
     by_name = {"one": 0.7, "two": -2.0 * 0.7 + 0.2, "three": 3.0 * (-2.0 * 0.7 + 0.2) + 0.3}
-    expected = tx.lower(free.pose("d"))(0.0, {"q": np.array([by_name[name] for name in free.joints])})
-    np.testing.assert_allclose(tx.lower(loaded.pose("d"))(0.0, {"q": np.array([0.7])}), expected, atol=1e-12)
+    expected = evaluated(free.pose("d"), {"q": np.array([by_name[name] for name in free.joints])})
+    np.testing.assert_allclose(evaluated(loaded.pose("d"), {"q": np.array([0.7])}), expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["root", "world"])
@@ -283,7 +284,7 @@ def test_a_principal_moment_above_the_sum_of_the_others_is_noted(tmp_path: Path)
     still = np.zeros(3)
     qdd = mechanics.aba(single, {"root": tx.pose()}, np.concatenate([still, w]), np.concatenate([still, torque]))
     expected = np.linalg.solve(tensor, torque - np.cross(w, tensor @ w))
-    np.testing.assert_allclose(tx.lower(qdd)(0.0)[3:], expected, rtol=1e-14)
+    np.testing.assert_allclose(evaluated(qdd)[3:], expected, rtol=1e-14)
 
 
 @pytest.mark.parametrize(

@@ -5,12 +5,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from joints_of_every_kind import evaluated
 from mechanics_oracles import Cloud, body_of, pose
 from scipy.spatial.transform import Rotation
 from test_editing import four_bar, inputs, near, panda, random_state
 
 import twistax as tx
+from evaluated import evaluated
 from twistax import mechanics, view
 from twistax.errors import ModelError
 from twistax.mechanics import Drive, Link, Mechanism, Mimic, SpatialInertia, joints, loops

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import twistax as tx
+from evaluated import evaluated
 from twistax.report import command
 from twistax.report.foreign import FOREIGN, page, run
 from twistax.report.foreign.ipopt import Nlp, nlp_of
@@ -36,7 +37,7 @@ GATE = Foreign(
 )
 
 
-def evaluated(problem: Foreign, bag: dict[str, Any], maths: Any) -> list[Any]:
+def parts_of(problem: Foreign, bag: dict[str, Any], maths: Any) -> list[Any]:
     """Rates, running cost, cost, path rows and end conditions."""
     here = SimpleNamespace(**bag)
     parts: Sequence[Any] = problem.rates(here, maths)
@@ -52,10 +53,10 @@ def difference(problem: Foreign) -> float:
     rng = np.random.default_rng(0)
     unknowns = {**problem.states, **problem.controls, **problem.free}
     values = {name: float(0.3 + 0.5 * rng.uniform()) for name in unknowns} | {"t": 0.37}
-    theirs = np.array([float(ca.DM(part)) for part in evaluated(problem, values, ca)])
+    theirs = np.array([float(ca.DM(part)) for part in parts_of(problem, values, ca)])
     leaves: dict[str, Any] = {name: tx.State(name) for name in unknowns}
-    exprs = [tx.to_expr(part) for part in evaluated(problem, leaves | {"t": tx.Time()}, MATHS)]
-    mine = np.array(tx.lower(exprs)(values.pop("t"), values), float)
+    exprs = [tx.to_expr(part) for part in parts_of(problem, leaves | {"t": tx.Time()}, MATHS)]
+    mine = np.array(evaluated(exprs, values))
     assert np.isfinite(theirs).all()
     return float(np.max(np.abs(mine - theirs)) / (1.0 + np.max(np.abs(theirs))))
 

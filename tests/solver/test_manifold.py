@@ -1,5 +1,6 @@
 """States on a manifold: the core sees tangent steps, the functions move points."""
 
+import functools
 from typing import Any
 
 import jax
@@ -17,9 +18,39 @@ INTERVALS = 10
 GOAL = np.asarray(so3.exp(jnp.array([0.9, -1.1, 1.4])))
 
 
-def jacobian_of_log(x: Array) -> Array:
-    """The inverse left Jacobian: how a multiplier of log(moved^-1 y) changes with the node that moves."""
-    return np.asarray(so3.left_jacobian_inv(x))
+H, ZERO = 1.0 / INTERVALS, jnp.zeros(3)
+
+
+def defect(d: Any, u: Any, rotation: Any, after: Any, drift: Any) -> Any:
+    return so3.log(after.T @ rotation @ so3.exp(d) @ so3.exp(H * (u + drift)))
+
+
+def end(d: Any, rotation: Any) -> Any:
+    return so3.log(GOAL.T @ rotation @ so3.exp(d))
+
+
+def rows(u: Any, r: Any, a: Any, drift: Any) -> Any:
+    """c = log(exp(-d_next) y) has the derivative -J_l(c)^-1 by d_next: rows are multiplied by J_l(c)."""
+    return so3.left_jacobian(defect(ZERO, u, r, a, drift))
+
+
+def slope(u: Any, r: Any, a: Any, drift: Any) -> Any:
+    both = lambda z: defect(z[:3], z[3:], r, a, drift)  # noqa: E731
+    return rows(u, r, a, drift) @ jax.jacfwd(both)(jnp.concatenate([ZERO, u]))
+
+
+def bend(u: Any, r: Any, a: Any, m: Any, drift: Any) -> Any:
+    weighted = lambda z, m: defect(z[:3], z[3:], r, a, drift) @ m  # noqa: E731
+    return jax.hessian(weighted)(jnp.concatenate([ZERO, u]), rows(u, r, a, drift).T @ m)
+
+
+DEFECTS = jax.jit(jax.vmap(functools.partial(defect, ZERO), (0, 0, 0, None)))
+SLOPES, BENDS = jax.jit(jax.vmap(slope, (0, 0, 0, None))), jax.jit(jax.vmap(bend, (0, 0, 0, 0, None)))
+END, END_SLOPE = jax.jit(functools.partial(end, ZERO)), jax.jit(lambda r: jax.jacfwd(end)(ZERO, r))
+END_BEND = jax.jit(lambda r, m: jax.hessian(lambda d: end(d, r) @ m)(ZERO))
+EXP = jax.jit(jax.vmap(so3.exp))
+#: The inverse left Jacobian: how a multiplier of log(moved^-1 y) changes with the node that moves.
+JACOBIANS_OF_LOG = jax.jit(jax.vmap(so3.left_jacobian_inv))
 
 
 class Reorientation:
@@ -35,28 +66,7 @@ class Reorientation:
     )
 
     def __init__(self, drift: Array) -> None:
-        h = 1.0 / INTERVALS
-        drift = jnp.asarray(drift)
-
-        def defect(d: Any, u: Any, rotation: Any, after: Any) -> Any:
-            return so3.log(after.T @ rotation @ so3.exp(d) @ so3.exp(h * (u + drift)))
-
-        def end(d: Any, rotation: Any) -> Any:
-            return so3.log(GOAL.T @ rotation @ so3.exp(d))
-
-        zero = jnp.zeros(3)
-        self.defects = jax.jit(jax.vmap(lambda u, r, a: defect(zero, u, r, a)))
-        both = lambda z, r, a: defect(z[:3], z[3:], r, a)  # noqa: E731
-        at = lambda u: jnp.concatenate([zero, u])  # noqa: E731
-        # c = log(exp(-d_next) y) has the derivative -J_l(c)^-1 by d_next: rows are multiplied by J_l(c).
-        rows = lambda u, r, a: so3.left_jacobian(defect(zero, u, r, a))  # noqa: E731
-        self.slopes = jax.jit(jax.vmap(lambda u, r, a: rows(u, r, a) @ jax.jacfwd(both)(at(u), r, a)))
-        bend = jax.hessian(lambda z, r, a, m: both(z, r, a) @ m)
-        self.bends = jax.jit(jax.vmap(lambda u, r, a, m: bend(at(u), r, a, rows(u, r, a).T @ m)))
-        self.end = jax.jit(lambda r: end(zero, r))
-        self.end_slope = jax.jit(lambda r: jax.jacfwd(end)(zero, r))
-        self.end_bend = jax.jit(lambda r, m: jax.hessian(lambda d: end(d, r) @ m)(zero))
-        self.h = h
+        self.drift = drift
 
     def split(self, z: Array) -> tuple[Array, Array]:
         inner = z[: 12 * INTERVALS].reshape(INTERVALS, 12)
@@ -65,27 +75,25 @@ class Reorientation:
 
     def values(self, z: Array) -> Any:
         r, u = self.split(z)
-        return self.h * (u**2).sum(), self.defects(u, r[:-1], r[1:]), np.zeros(0), self.end(r[-1])
+        return H * (u**2).sum(), DEFECTS(u, r[:-1], r[1:], self.drift), np.zeros(0), END(r[-1])
 
     def jacobians(self, z: Array) -> Any:
         r, u = self.split(z)
-        gradient = np.concatenate(
-            [np.concatenate([np.zeros((INTERVALS, 3)), 2 * self.h * u], axis=1).ravel(), np.zeros(3)]
-        )
-        of_end = [np.zeros((0, 6))] * INTERVALS + [np.asarray(self.end_slope(r[-1]))]
-        return gradient, [*np.asarray(self.slopes(u, r[:-1], r[1:]))], [np.zeros(0)], of_end
+        gradient = np.concatenate([np.concatenate([np.zeros((INTERVALS, 3)), 2 * H * u], axis=1).ravel(), np.zeros(3)])
+        of_end = [np.zeros((0, 6))] * INTERVALS + [np.asarray(END_SLOPE(r[-1]))]
+        return gradient, [*np.asarray(SLOPES(u, r[:-1], r[1:], self.drift))], [np.zeros(0)], of_end
 
     def hessians(self, z: Array, weight: float, lam: Array, y: Array, ye: Array) -> Any:
         r, u = self.split(z)
-        blocks = np.array(self.bends(u, r[:-1], r[1:], lam.reshape(-1, 3)))
-        blocks[:, 3:, 3:] += 2 * weight * self.h * np.eye(3)
-        return [*blocks, np.asarray(self.end_bend(r[-1], ye))]
+        blocks = np.array(BENDS(u, r[:-1], r[1:], lam.reshape(-1, 3), self.drift))
+        blocks[:, 3:, 3:] += 2 * weight * H * np.eye(3)
+        return [*blocks, np.asarray(END_BEND(r[-1], ye))]
 
     def retract(self, z: Array, d: Array) -> Array:
         r, u = self.split(z)
         inner = d[: 6 * INTERVALS].reshape(INTERVALS, 6)
         steps = np.concatenate([inner[:, :3], d[None, 6 * INTERVALS :]])
-        moved = r @ np.asarray(jax.vmap(so3.exp)(steps))
+        moved = r @ np.asarray(EXP(steps))
         return np.concatenate(
             [np.concatenate([moved[:-1].reshape(-1, 9), u + inner[:, 3:]], axis=1).ravel(), moved[-1].ravel()]
         )
@@ -93,7 +101,7 @@ class Reorientation:
     def transport(self, d: Array, lam: Array) -> Array:
         """c = log(R^-1 y) becomes log(exp(-d) R^-1 y), whose derivative by c is the inverse left Jacobian at d."""
         steps = np.concatenate([d[: 6 * INTERVALS].reshape(INTERVALS, 6)[1:, :3], d[None, 6 * INTERVALS :]])
-        return np.concatenate([jacobian_of_log(-s).T @ m for s, m in zip(-steps, lam.reshape(-1, 3))])
+        return np.concatenate([J.T @ m for J, m in zip(np.asarray(JACOBIANS_OF_LOG(steps)), lam.reshape(-1, 3))])
 
     def solve(self, with_transport: bool = True) -> CoreSolution:
         rng = np.random.default_rng(1)

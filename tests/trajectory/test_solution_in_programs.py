@@ -1,6 +1,7 @@
 """Optima within programs of JAX: one call of the solver under jit, vmap and grad."""
 
 import functools
+import itertools
 import os
 import subprocess
 import sys
@@ -97,15 +98,14 @@ def test_a_member_without_a_solution_has_no_derivative() -> None:
     np.testing.assert_allclose(slopes[2], jax.grad(lambda z: of_cart(z).cost)(every[2]), atol=1e-9)
 
 
-@pytest.mark.parametrize("place", range(5))
-@pytest.mark.parametrize("wrong", [np.nan, np.inf])
-def test_what_is_no_number_is_no_solution(place: int, wrong: float) -> None:
+def test_what_is_no_number_is_no_solution() -> None:
     """A drag, a start, a speed, an end and a time."""
-    every = jnp.stack([jnp.asarray(POINT), jnp.asarray(POINT).at[place].set(wrong)])
-    solved = jax.jit(jax.vmap(lambda z: of_cart(z).solved))(every)
-    assert solved.tolist() == [1.0, 0.0]
-    slopes = jax.jit(jax.vmap(jax.grad(lambda z: of_cart(z).cost)))(every)
-    assert np.isfinite(slopes).all(axis=1).tolist() == [True, False]
+    solved = jax.jit(jax.vmap(lambda z: of_cart(z).solved))
+    slopes = jax.jit(jax.vmap(jax.grad(lambda z: of_cart(z).cost)))
+    for place, wrong in itertools.product(range(5), (np.nan, np.inf)):
+        every = jnp.stack([jnp.asarray(POINT), jnp.asarray(POINT).at[place].set(wrong)])
+        assert solved(every).tolist() == [1.0, 0.0], (place, wrong)
+        assert np.isfinite(slopes(every)).all(axis=1).tolist() == [True, False], (place, wrong)
 
 
 def test_a_time_that_goes_back_is_no_solution() -> None:

@@ -118,6 +118,10 @@ class Filter(ABC):
         """The covariance from that."""
         return factor
 
+    def _with_covariance(self, step: Any) -> Any:
+        """A prediction or an update with its covariance in place of that form."""
+        return step._replace(P=self.multiplied(step.P))
+
     @functools.cached_property
     def _propagated(self) -> Callable[[OperatingPoint, jax.Array, jax.Array], Prediction]:
         """`propagated` as one kernel where it can be."""
@@ -315,7 +319,7 @@ class Filter(ABC):
                 update = functools.partial(self._if_present, name, OperatingPoint(t, x, u, params), P, z[name])
                 updates[name] = update(seen[name])
                 x, P = updates[name].x, updates[name].P
-            prior = prior._replace(P=self.multiplied(prior.P))
+            prior = self._with_covariance(prior)
             return Estimate(x, P), (prior, Estimate(x, self.multiplied(P)), updates)
 
         return jax.lax.scan(advance, Estimate(x0, self.factored(P0)), rows)[1]
@@ -343,16 +347,14 @@ class Filter(ABC):
     @functools.cached_property
     def _jitted_predict(self) -> Callable[..., Prediction]:
         def predict(point: OperatingPoint, P: jax.Array, h: jax.Array) -> Prediction:
-            prediction = self._propagated(point, self.factored(P), h)
-            return prediction._replace(P=self.multiplied(prediction.P))
+            return self._with_covariance(self._propagated(point, self.factored(P), h))
 
         return jax.jit(predict)
 
     @functools.cached_property
     def _jitted_update(self) -> Callable[..., Update]:
         def update(name: str, point: OperatingPoint, P: jax.Array, z: jax.Array) -> Update:
-            update = self._corrected[name](point, self.factored(P), z)
-            return update._replace(P=self.multiplied(update.P))
+            return self._with_covariance(self._corrected[name](point, self.factored(P), z))
 
         return jax.jit(update, static_argnums=0)
 

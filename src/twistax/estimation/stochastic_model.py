@@ -32,6 +32,10 @@ class OperatingPoint(NamedTuple):
     u: Arrays
     params: Arrays
 
+    def moved(self, **fields: Any) -> OperatingPoint:
+        """The same point with other values of some arguments."""
+        return self._replace(**fields)
+
 
 class Sensitivity(NamedTuple):
     """A measurement at a point: its value h, H by right perturbations of the state, and the covariance R of errors."""
@@ -146,7 +150,7 @@ class StochasticModel:
         x = {0.0: point.x, 1.0: x1}.get(fraction)
         if x is None:
             x = self.group.retract(point.x, fraction * self.group.difference(point.x, x1))
-        at = point._replace(t=point.t + fraction * h, x=x)
+        at = point.moved(t=point.t + fraction * h, x=x)
         F, G = self.linearized(at)
         return F, G @ self.intensity(at, self.process) @ G.T
 
@@ -182,7 +186,7 @@ class StochasticModel:
             for leaf in measurement.noises:
                 noise[leaf.name] = z[start : start + sizes[leaf.name]].reshape(leaf.shape)
                 start += sizes[leaf.name]
-            shifted = point._replace(x=self.group.retract(point.x, z[:n]), u={**point.u, **noise})
+            shifted = point.moved(x=self.group.retract(point.x, z[:n]), u={**point.u, **noise})
             return group.difference(h, self.measured(name, shifted)).reshape(m)
 
         _, slopes = value_and_jacobian(moved, jnp.zeros(n + sum(sizes.values()), dtype))

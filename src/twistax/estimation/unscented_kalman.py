@@ -69,7 +69,7 @@ class UnscentedKalman(Filter):
         n = self.model.dimension
         columns = jnp.sqrt(jnp.asarray(n, root.factor.dtype)) * root.matrix.T
         signed = jnp.concatenate([columns, -columns])
-        return jax.vmap(lambda d: function(point._replace(x=self.model.group.retract(point.x, d))))(signed)
+        return jax.vmap(lambda d: function(point.moved(x=self.model.group.retract(point.x, d))))(signed)
 
 
 def _by_root(deviations: jax.Array) -> jax.Array:

@@ -19,7 +19,7 @@ from twistax.groups.group import ElementPart, Group
 
 
 @dataclass(frozen=True)
-class Power(Group):
+class GroupPower(Group):
     """The direct product of a group with itself: $G^n$. Maps act on each copy, all copies in one operation.
 
     An element is an array (n, *shape) of elements of the group, a tangent the n tangents one after the other, (n d,).
@@ -42,8 +42,8 @@ class Power(Group):
 
     def __post_init__(self) -> None:
         if not isinstance(self.group, Group) or not isinstance(self.group.shape, tuple):
-            raise ModelError(f"Power expects a group whose elements are arrays, got {self.group!r}")
-        whole("Power: count", self.count, 1, ModelError)
+            raise ModelError(f"GroupPower expects a group whose elements are arrays, got {self.group!r}")
+        whole("GroupPower: count", self.count, 1, ModelError)
 
     @property
     def name(self) -> str:
@@ -132,3 +132,7 @@ class Power(Group):
     def defect(self, g: Any) -> Float[Array, ""]:
         """The largest defect of a copy."""
         return jnp.max(jax.vmap(self.group.defect)(g))
+
+
+#: The name of the class in files of earlier versions.
+Power = GroupPower

@@ -16,7 +16,7 @@ from ..expr import Concat, Control, Expr, Leaf, Parameter, Reshaped, State, Vmap
 from ..expr.operations.comparisons import Complementarity
 from ..expr.operations.soft import Soft
 from ..expr.transformations.vmap import elements_by
-from ..groups.power import Power
+from ..groups.power import GroupPower
 from ..scalar.backends import JAX, Backend, Emission
 from ..scalar.fast import part_of_package
 from ..scalar.targets.llvm.backend import Native, installed
@@ -149,7 +149,7 @@ def _many(leaf: Any, count: int) -> Leaf:
         options = {"min": spread(leaf.min), "max": spread(leaf.max), "scale": spread(leaf.scale)}
         return State(leaf.name, (count, *leaf.shape), **ends, **options)
     scale = None if leaf.scale is None else np.tile(leaf.scale, count)
-    return State(leaf.name, group=Power(leaf.group, count), scale=scale, **ends)
+    return State(leaf.name, group=GroupPower(leaf.group, count), scale=scale, **ends)
 
 
 def copies_in_a_kernel(

@@ -29,7 +29,7 @@ from ..smoothers.robust_losses import RobustLoss, checked_losses
 from .experiment import SegmentedData, experiments_of, segmented, staged
 from .multiple_shooting import Prior, ShootingSteps, scaled_eigenvalues, solved
 from .parameter_estimate import ParameterEstimate
-from .search import SearchState, ShootingSearch
+from .search import FitState, ShootingSearch
 from .segments import Segments
 
 
@@ -206,7 +206,7 @@ class MaximumLikelihood:
         last = ShootingSearch(self.shooting, data, prior, tolerance, self.max_iterations).run(theta)
         return self._judged(last, data, prior)
 
-    def _judged(self, last: SearchState, data: SegmentedData, prior: Prior) -> ParameterEstimate:
+    def _judged(self, last: FitState, data: SegmentedData, prior: Prior) -> ParameterEstimate:
         """The estimate, with its measures from one simulation of each experiment."""
         unknowns = last.unknowns
         problem = self.shooting.condensed(unknowns, last.segments, data, prior)

@@ -31,6 +31,10 @@ class SegmentUnknowns(NamedTuple):
     theta: jax.Array
     weights: jax.Array
 
+    def started(self, starts: Arrays) -> SegmentUnknowns:
+        """The same with other starts."""
+        return self._replace(starts=starts)
+
 
 class Condensed(NamedTuple):
     """The linearised problem in z = [starts of experiments (r n); theta (p)], gaps closed.

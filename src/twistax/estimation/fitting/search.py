@@ -19,7 +19,7 @@ from .segments import LinearizedSegment
 _STATE_STEPS = 20
 
 
-class SearchState(NamedTuple):
+class FitState(NamedTuple):
     """What a pass of the search leaves to the next one.
 
     Attributes:
@@ -52,7 +52,7 @@ class SearchStage(NamedTuple):
         is_tried: whether a pass is taken only if it lowers the cost.
     """
 
-    propose: Callable[[SearchState], Candidate]
+    propose: Callable[[FitState], Candidate]
     moving: jax.Array
     most: int
     is_tried: bool = True
@@ -89,13 +89,13 @@ class ShootingSearch:
             stages.append(SearchStage(self._joined, every, segments - 1, is_tried=False))
         self.stages, self.place = stages, stages.index(move)
 
-    def run(self, theta: jax.Array) -> SearchState:
+    def run(self, theta: jax.Array) -> FitState:
         """The last state of the search from these parameters."""
         going = lambda state: state.stage < len(self.stages)  # noqa: E731
-        state: SearchState = jax.lax.while_loop(going, self._advanced, self._first(theta))
+        state: FitState = jax.lax.while_loop(going, self._advanced, self._first(theta))
         return state
 
-    def _first(self, theta: jax.Array) -> SearchState:
+    def _first(self, theta: jax.Array) -> FitState:
         data, shape = self.data, self.data.rows.ts.shape[:2]
         x0 = {name: jnp.broadcast_to(x[:, None], data.guess[name].shape) for name, x in data.starts.x.items()}
         weights = jnp.zeros((*shape, self.shooting.group.dimension), theta.dtype)
@@ -103,9 +103,9 @@ class ShootingSearch:
         shapes = jax.eval_shape(self.shooting.linearized, unknowns, data)
         nothing = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes)
         zero = jnp.zeros((), jnp.int32)
-        return SearchState(zero, zero, unknowns, nothing, jnp.zeros(shape, theta.dtype), jnp.zeros(shape, bool), zero)
+        return FitState(zero, zero, unknowns, nothing, jnp.zeros(shape, theta.dtype), jnp.zeros(shape, bool), zero)
 
-    def _advanced(self, state: SearchState) -> SearchState:
+    def _advanced(self, state: FitState) -> FitState:
         shape, eps = state.settled.shape, float(jnp.finfo(state.damping.dtype).eps)
         new, size, before = jax.lax.switch(state.stage, [stage.propose for stage in self.stages], state)
         segments = self.shooting.linearized(new, self.data)
@@ -126,7 +126,7 @@ class ShootingSearch:
         settled = state.settled | ended
         done = settled.all()
         moving = jnp.stack([*(stage.moving for stage in self.stages[1:]), jnp.ones(shape, bool)])[state.stage]
-        return SearchState(
+        return FitState(
             jnp.where(done, state.stage + 1, state.stage),
             jnp.where(done, 0, passes),
             unknowns,
@@ -138,7 +138,7 @@ class ShootingSearch:
 
     # ---- what a pass tries -------------------------------------------------------------------------------------------
 
-    def _simulated(self, state: SearchState) -> Candidate:
+    def _simulated(self, state: FitState) -> Candidate:
         """Starts where the segments before end, or those of the guess. A pass of n simulates one segment further."""
         x0 = {name: x[:, None] for name, x in self.data.starts.x.items()}
         ends = _joined(state)
@@ -149,17 +149,17 @@ class ShootingSearch:
             state, {name: jnp.where(first, x, simulated[name]) for name, x in state.unknowns.starts.items()}
         )
 
-    def _joined(self, state: SearchState) -> Candidate:
+    def _joined(self, state: FitState) -> Candidate:
         """Starts where the segments before end: the experiment as one simulation, after a pass for each segment."""
         return self._always(state, _joined(state))
 
-    def _fitted(self, state: SearchState) -> Candidate:
+    def _fitted(self, state: FitState) -> Candidate:
         """The start of each segment by a step to its measurements."""
         steps = jax.vmap(jax.vmap(self.shooting.start_step))
         starts, sizes = steps(state.unknowns.starts, state.segments, state.damping)
-        return state.unknowns._replace(starts=starts), sizes, state.segments.likelihood.cost
+        return state.unknowns.started(starts), sizes, state.segments.likelihood.cost
 
-    def _moved(self, state: SearchState) -> Candidate:
+    def _moved(self, state: FitState) -> Candidate:
         """Parameters and starts by a step."""
         new, size, before = self.shooting.step(
             state.unknowns, state.segments, state.damping[0, 0], self.data, self.prior
@@ -167,9 +167,9 @@ class ShootingSearch:
         shape = state.damping.shape
         return new, jnp.broadcast_to(size, shape), jnp.broadcast_to(before, shape)
 
-    def _always(self, state: SearchState, starts: Arrays) -> Candidate:
+    def _always(self, state: FitState, starts: Arrays) -> Candidate:
         unlimited = jnp.full_like(state.damping, jnp.inf)
-        return state.unknowns._replace(starts=starts), unlimited, unlimited
+        return state.unknowns.started(starts), unlimited, unlimited
 
     def _guessed(self, starts: Arrays) -> Arrays:
         """The starts; those of the guess where there is one."""
@@ -180,7 +180,7 @@ class ShootingSearch:
         return {name: one(self.data.guess[name], x) for name, x in starts.items()}
 
 
-def _joined(state: SearchState) -> Arrays:
+def _joined(state: FitState) -> Arrays:
     """The starts of experiments, and the ends of all segments but the last."""
     starts, ends = state.unknowns.starts, state.segments.end
     return {name: jnp.concatenate([x[:, :1], ends[name][:, :-1]], axis=1) for name, x in starts.items()}

@@ -67,7 +67,7 @@ class SearchEnd(NamedTuple):
     steps: jax.Array  # ()
 
 
-class SearchState(NamedTuple):
+class ReachState(NamedTuple):
     x: Arrays
     e: jax.Array
     J: jax.Array
@@ -96,7 +96,7 @@ class SeededSearch:
         last = jax.lax.while_loop(
             lambda s: (s.seed < count) & ~self.reached(s.e),
             lambda s: self._next(s, targets, seeds, count),
-            SearchState(start, e, J, damping, zero, zero, zero, zero, start, jnp.sum(e * e)),
+            ReachState(start, e, J, damping, zero, zero, zero, zero, start, jnp.sum(e * e)),
         )
         x = self._improved(last.best, targets) if self._errors.has_secondary else last.best
         e, J = self._errors(x, targets)
@@ -127,7 +127,7 @@ class SeededSearch:
         solution: jax.Array = self._solves[size](0.0, {"G": G, "e": e})
         return solution
 
-    def _next(self, s: SearchState, targets: Arrays, seeds: Arrays, count: int) -> SearchState:
+    def _next(self, s: ReachState, targets: Arrays, seeds: Arrays, count: int) -> ReachState:
         """One step, or the next seed."""
         options = self._options
         free, share = self._steepness(s.x, s.e, s.J)
@@ -141,7 +141,7 @@ class SeededSearch:
         kept = ended | (after < before)
         damping = jnp.where(kept, jnp.maximum(s.damping * options.shrink, options.least), s.damping * options.grow)
         better = after < s.least
-        return SearchState(
+        return ReachState(
             x={name: jnp.where(kept, value, s.x[name]) for name, value in trial.items()},
             e=jnp.where(kept, e, s.e),
             J=jnp.where(kept, J, s.J),
@@ -154,7 +154,7 @@ class SeededSearch:
             least=jnp.where(better, after, s.least),
         )
 
-    def _stepped(self, s: SearchState, free: jax.Array) -> Arrays:
+    def _stepped(self, s: ReachState, free: jax.Array) -> Arrays:
         mu = s.damping * jnp.sum(s.e * s.e) + np.finfo(s.e.dtype).eps * jnp.sum(s.J * s.J)
         return self._errors.space.moved(s.x, self.least_squares(jnp.where(free[None], s.J, 0.0), s.e, mu))
 

@@ -46,16 +46,10 @@ class TaskRows:
                     f"{owner}: {kind} has an error {e.shape} and a Jacobian {J.shape}; expected (m,), (m, {self._dofs})"
                 )
         self.sizes = [e.shape[0] for e in errors]
-        self._read_numbers()
+        self.weights, self.gains, self.damping = _numbers(self.tasks, self.sizes)
         self.expressions = (Concat(*errors), Vstack(*jacobians)) if errors else None
         _need_one_target(owner, self.expressions or ())
         self._lowered = lower(list(self.expressions)) if self.expressions else None
-
-    def _read_numbers(self) -> None:
-        pairs = list(zip(self.tasks, self.sizes, strict=True))
-        self.weights = np.concatenate([np.zeros(0), *(task.weights(size) for task, size in pairs)])
-        self.gains = np.repeat([np.nan if task.gain is None else task.gain for task in self.tasks], self.sizes)
-        self.damping = np.repeat([float(task.damping) for task in self.tasks], self.sizes)
 
     def with_numbers(self, owner: str, tasks: Iterable[Task]) -> TaskRows:
         """The same rows with the weights, gains and damping of other tasks. Raises ModelError where more differs."""
@@ -66,7 +60,7 @@ class TaskRows:
                 f"{owner}: replace expects the tasks of the controller with another weight, gain or damping.\n"
                 "  fix: dataclasses.replace(task, weight=...); a new controller for other tasks"
             )
-        rows._read_numbers()
+        rows.weights, rows.gains, rows.damping = _numbers(rows.tasks, rows.sizes)
         return rows
 
     def __call__(self, x: Arrays, u: Arrays, params: Arrays) -> tuple[jax.Array, jax.Array]:
@@ -75,6 +69,13 @@ class TaskRows:
             return jnp.zeros(0, dtype_of(x)), jnp.zeros((0, self._dofs), dtype_of(x))
         e, J = self._lowered(0.0, x, *of_leaves(leaves_of(*(self.expressions or ())), u, params))
         return e, J
+
+
+def _numbers(tasks: Sequence[Task], sizes: Sequence[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Weights, gains and damping by row."""
+    weights = np.concatenate([np.zeros(0), *(task.weights(size) for task, size in zip(tasks, sizes, strict=True))])
+    gains = np.repeat([np.nan if task.gain is None else task.gain for task in tasks], sizes)
+    return weights, gains, np.repeat([float(task.damping) for task in tasks], sizes)
 
 
 def _program(task: Any) -> Any:

@@ -11,7 +11,7 @@ from ...mechanics import chain_models, inverse_dynamics
 from ...trajectory import Linear, Phase, Problem
 
 #: Of the Delta III: gravity, radius, spin and air of the Earth, reference area, drag; SI.
-_MU, _RADIUS, _SPIN, _G0 = 3.986012e14, 6378145.0, 7.29211585e-5, 9.80665
+_MU, _RADIUS, _SPIN = 3.986012e14, 6378145.0, 7.29211585e-5
 _DENSITY, _SCALE_HEIGHT, _AREA, _DRAG = 1.225, 7200.0, 4.0 * np.pi, 0.5
 #: Whole mass, propellant, kg, thrust, N, and burning time, s, of a booster, the first and the second stage.
 _BOOSTER, _FIRST, _SECOND = (

@@ -11,7 +11,6 @@ the control of the join: F = u there, the step to it from the node, zero where t
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable, Mapping, Sequence
 from math import prod
 from typing import Any
@@ -69,19 +68,19 @@ class Join:
         """The expressions of the last states before, in the order of the next ones."""
         return tuple(source for source in self._sources.values() if source is not None)
 
-    def made_of(self, sources: Sequence[Expr]) -> Join:
-        """The same by other expressions."""
-        other, rest = copy.copy(self), iter(sources)
-        other._sources = {name: None if source is None else next(rest) for name, source in self._sources.items()}
-        return other
+    def gap_at(
+        self, sources: Sequence[Expr], z: jax.Array, base: Arrays, start: Arrays, initial: Arrays, params: Arrays
+    ) -> jax.Array:
+        """The defect of the join at z = [d, b]: a step of the last node from base, and the shared unknowns.
 
-    def gap_at(self, z: jax.Array, base: Arrays, start: Arrays, initial: Arrays, params: Arrays) -> jax.Array:
-        """The defect of the join at z = [d, b]: a step of the last node from base, and the shared unknowns."""
+        Args:
+            sources: the expressions of `sources`, or others of their shapes.
+        """
         before = self._before
         x, b = before.dynamics.group.retract(base, z[: before.n]), z[before.n :]
         begin, length = before.span(b)
         inputs = Inputs(begin + length, x, {}, params | before.border.params(b), z.dtype)
-        values = iter(evaluate_all(list(self.sources), lambda leaf: leaf.read(inputs)))
+        values = iter(evaluate_all(list(sources), lambda leaf: leaf.read(inputs)))
         target = {name: start[name] if source is None else next(values) for name, source in self._sources.items()}
         for name, placed in self._placed.items():
             target[name] = jnp.where(placed, initial[name], target[name])

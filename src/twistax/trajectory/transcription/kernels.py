@@ -149,7 +149,7 @@ class PhaseFunctions:
                 first.split(known[Argument.TARGET]),
                 self._numbers.initial(known[Argument.DATA], after.phase),
             )
-            return join.made_of(parts[0]).gap_at(known[Argument.Z], self._base(known), start, initial, params)
+            return join.gap_at(parts[0], known[Argument.Z], self._base(known), start, initial, params)
 
         arguments = {Argument.Z: before.n + before.border.unknowns, Argument.BASE: self.point.size}
         arguments |= {Argument.TARGET: first.size, Argument.DATA: self._numbers.size}

@@ -56,9 +56,10 @@ class Staged:
                     zip(transcribed.segments, problems, every, [*joins, None])
                 )
             ]
-        self._assemble(instance)
+        self.assemble(instance)
 
-    def _assemble(self, instance: Instance) -> None:
+    def assemble(self, instance: Instance) -> None:
+        """Take memory for the numbers of a problem, and place its rows."""
         self._instance: Instance | None = None
         phases = [part.phase for part in self.parts]
         self.transcription = Transcription(phases, self.border.unknowns, self.numbers.vector(instance))
@@ -123,12 +124,12 @@ class Staged:
         self.transcribed.drop(rows)
         for part in self.parts:
             part.describe()
-        self._assemble(instance)
+        self.assemble(instance)
 
     def alone(self, instance: Instance) -> Staged:
         """A copy for another thread: it shares kernels, not memory."""
         other = copy.copy(self)
-        other._assemble(instance)
+        other.assemble(instance)
         return other
 
     def set_instance(self, instance: Instance) -> None:
