@@ -66,7 +66,7 @@ def test_a_limit_that_binds_has_the_slope_of_the_objective_as_multiplier() -> No
     assert problem.solve(params={"gear": 1.2}).final_time == pytest.approx(result.final_time, rel=1e-6)
     assert problem.solve(free={"gear": (0.1, 3.0)}).params["gear"] == pytest.approx(2.0, rel=1e-3)
     assert problem.solve(warm=result, free={gear: (0.1, 1.4)}).params["gear"] == pytest.approx(1.4, abs=1e-6)
-    for limits, word in (((None, 3.0), "sides"), ((2.0, 2.0), "low below high")):
+    for limits, word in (((None, 3.0), "sides"), ((2.0, 2.0), "low < high")):
         with pytest.raises(TrajectoryError, match=word):
             problem.solve(free={gear: limits})
     with pytest.raises(ModelError, match="leaves free: 'gear'"):
