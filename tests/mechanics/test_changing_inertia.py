@@ -227,7 +227,7 @@ def test_what_is_not_known_is_refused(unchecked: None) -> None:
         lambda: Drive(armature=x),
     ):
         with pytest.raises(
-            tx.ModelError, match=r"(?s)not to change with the motion, got .*depends on 'x'.*fix: use a joint"
+            tx.ModelError, match=r"(?s)constant during the motion, got .*depends on 'x'.*fix: use a joint"
         ):
             call()
     with pytest.raises(tx.ShapeError, match=r"rate of 'x' with shape \(\), got \(3,\)"):

@@ -274,7 +274,7 @@ def test_bad_loops_are_refused(unchecked: None) -> None:
     for closure, message in (
         ([loops.PointLoop("a", "pin", "nowhere")], "no frame 'nowhere'"),
         ([loops.PointLoop("a", "pin", "coupler")], "two frames of one body"),
-        ([loops.PointLoop("a", "pin", "tip"), loops.PointLoop("a", "tip", "pin")], "two loops have one name"),
+        ([loops.PointLoop("a", "pin", "tip"), loops.PointLoop("a", "tip", "pin")], "loops must have different names"),
         (["pin"], "expects loops"),
     ):
         with pytest.raises(tx.ModelError, match=message):

@@ -290,7 +290,7 @@ def test_what_is_no_tree_is_refused(unchecked: None) -> None:
         Mechanism([link("a"), link("b", "a", None)]).system()
     with pytest.raises(tx.ModelError, match="'b' follows 'c'"):
         Mechanism([link("a"), link("b", "a", mimic=Mimic("c"))])
-    with pytest.raises(tx.ModelError, match="mimic to be a Mimic, of a joint with one freedom"):
+    with pytest.raises(tx.ModelError, match="a Mimic as mimic, and a joint with one degree of freedom"):
         Link(joints.Spherical("ball"), ball, np.eye(4), mimic=Mimic("a"))
     with pytest.raises(tx.ModelError, match="damping not to be negative, got -1"):
         Drive(damping=-1.0)

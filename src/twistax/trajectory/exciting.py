@@ -174,8 +174,9 @@ def _room(mechanism: Mechanism) -> tuple[Array, Array, Array]:
     open_ended = ~np.isfinite(speed) & ~(bounded & np.isfinite(effort))
     if open_ended.any():
         raise ModelError(
-            f"{owner}: {listed([j for j, is_open in zip(mechanism.joints, open_ended) if is_open])} has no "
-            "limit of position or speed, so no motion is optimal.\n"
+            f"{owner}: no limit of position or speed for "
+            f"{listed([j for j, is_open in zip(mechanism.joints, open_ended) if is_open])}, "
+            "so no motion is optimal.\n"
             "  fix: pass Drive(speed=...), or Drive(lower=..., upper=..., effort=...)"
         )
     low, high = np.where(bounded, (low, high), 0.0)
