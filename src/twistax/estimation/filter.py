@@ -229,7 +229,7 @@ class Filter(ABC):
 
         Args:
             times: by measurement, (k,) in s.
-            x0, t0, u, params: as of `run`.
+            x0, t0, u, params: as for `run`.
         Raises: InputError, ShapeError: as `run`.
         """
         one = {name: m.group.identity(float) for name, m in self.model.measurements.items()}

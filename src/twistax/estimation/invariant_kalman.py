@@ -46,7 +46,7 @@ class InvariantKalman(ErrorStateKalman):
     Use one state on `tx.ExtendedPose` for attitude, velocity and position; as three states they are not group-affine.
 
     Args:
-        dynamics, measurements, method, max_step, gate, noise: as of `ErrorStateKalman`.
+        dynamics, measurements, method, max_step, gate, noise: as for `ErrorStateKalman`.
         invariance: `Invariance.LEFT` or `Invariance.RIGHT`.
     Raises:
         ModelError: what `ErrorStateKalman` refuses.

@@ -26,7 +26,7 @@ class SquareRootKalman(ErrorStateKalman):
     round-off. In exact arithmetic the numbers are those of `ErrorStateKalman`.
 
     Args:
-        dynamics, measurements, method, max_step, gate, noise, reset: as of `ErrorStateKalman`.
+        dynamics, measurements, method, max_step, gate, noise, reset: as for `ErrorStateKalman`.
     Raises:
         ModelError: what `ErrorStateKalman` refuses.
 

@@ -29,8 +29,8 @@ class UnscentedKalman(Filter):
         measurements: `tx.Measurement` each.
         method: of the mean; RKMK with RK4 if left out.
         max_step: the longest step of a prediction in s; one step between two times if left out.
-        gate: a probability, as of `ErrorStateKalman`.
-        noise: as of `ErrorStateKalman`.
+        gate: a probability, as for `ErrorStateKalman`.
+        noise: as for `ErrorStateKalman`.
     Raises:
         ModelError: the same conditions as for `ErrorStateKalman`.
 

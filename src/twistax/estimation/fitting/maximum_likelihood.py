@@ -59,7 +59,7 @@ class MaximumLikelihood:
         priors: by parameter a pair of its expected value and its covariance: a number, one for each entry, or a matrix.
         losses: by measurement a `RobustLoss` rho, such as `HuberLoss()`, for records with outliers: $rho(e^T R^-1 e)$
             in place of $e^T R^-1 e$. Squares if left out. Not with noise in the rates: an outlier moves the filter.
-        method, max_step, noise: as of `ErrorStateKalman`.
+        method, max_step, noise: as for `ErrorStateKalman`.
         segments: of each record; at most 12 if left out, with eight rows or two for each entry of the state.
         max_iterations: steps at most.
     Raises:
@@ -262,7 +262,7 @@ def fit(
     Args:
         dynamics: the compiled system.
         data: a `tx.estimation.Experiment`, or a list of them.
-        free, measurements, priors, options: as of `tx.estimation.MaximumLikelihood`.
+        free, measurements, priors, options: as for `tx.estimation.MaximumLikelihood`.
         params: values of parameters in their units; initial values of free ones.
     Raises:
         ModelError, InputError, ShapeError: arguments that do not fit the system.

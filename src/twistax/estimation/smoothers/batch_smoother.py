@@ -96,7 +96,7 @@ class BatchSmoother:
     `ErrorStateKalman` and `RauchTungStriebel`.
 
     Args:
-        dynamics, measurements, method, max_step: as of `ErrorStateKalman`.
+        dynamics, measurements, method, max_step: as for `ErrorStateKalman`.
         losses: by measurement a `RobustLoss`; squares if left out.
         max_iterations: steps at most.
         tolerance: the last step in standard deviations; the square root of the round-off if left out.

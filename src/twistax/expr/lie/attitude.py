@@ -72,7 +72,7 @@ class EulerAngles(Expr):
 
     Attributes:
         rotation: R (3, 3).
-        sequence: as of `EulerRotation`.
+        sequence: as for `EulerRotation`.
     Raises:
         ShapeError: rotation is not of shape (3, 3).
         InputError: another sequence, or a constant that is not a rotation.

@@ -190,7 +190,7 @@ class LinearPart(_Part):
 class AngularPart(_Part):
     """w of [v; w], or tau of [f; tau]. Shapes: (6,) -> (3,); (6, k) -> (3, k).
 
-    Attributes, Raises: as of `LinearPart`, ShapeError if vector has no six rows.
+    Attributes, Raises: as for `LinearPart`, ShapeError if vector has no six rows.
     """
 
     label = "angular"

@@ -173,7 +173,7 @@ class All(Reduction, init=False):
 class Any(Reduction, init=False):
     """True if at least one entry of one predicate is true; shape (). Takes constraints one by one or in a list.
 
-    Attributes, Raises: as of `All`.
+    Attributes, Raises: as for `All`.
     """
 
     reduce = jnp.any

@@ -166,7 +166,7 @@ def halted_code(halt: Halt, code: jax.Array) -> jax.Array:
 def _first(
     events: EventConditions, stepper: Stepper, t: jax.Array, h: jax.Array, states: Any, old: jax.Array, ends: Any
 ) -> tuple[_Samples, jax.Array, _PackedJob]:
-    """The conditions along a step and at its end, as of `EventConditions.seen`, and the first search."""
+    """The conditions along a step and at its end, as for `EventConditions.seen`, and the first search."""
     values, after = events.seen(stepper, t, h, states, old, ends)
     samples = stored_once(_Samples.of(events, values))
     return samples, after, _Search(events, t, h, samples).first()

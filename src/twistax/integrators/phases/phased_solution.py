@@ -119,7 +119,7 @@ class PhasedSolution(AnySolution):
 
         Args:
             names: of the states and joints to draw; by default all states that the phases have in common.
-            units: of values by name, as of `Solution.plot`.
+            units: of values by name, as for `Solution.plot`.
         Raises:
             InputError: a name that not all phases have; no saved times; a solution that is traced or of a batch.
             ModelError: matplotlib is not installed.

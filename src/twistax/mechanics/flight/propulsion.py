@@ -84,7 +84,7 @@ def rocket(
         vacuum_thrust: T, N.
         specific_impulse: I in vacuum, s.
         exit_area: A, m2.
-        position, direction: as of `Engine`.
+        position, direction: as for `Engine`.
     Raises: ShapeError, ModelError.
     """
     same_unit("rocket: exit_area", exit_area, metres**2)

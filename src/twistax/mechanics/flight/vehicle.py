@@ -180,7 +180,7 @@ class Vehicle:
         """The system of the body's motion under gravity and a wrench, and of the turbulence.
 
         Args:
-            body, wrench: as of `acceleration`.
+            body, wrench: as for `acceleration`.
             rates: of further states; if the body depends on them, its masses move at these rates.
             outputs: in addition to those of `outputs()`.
             more: further arguments of `System`.

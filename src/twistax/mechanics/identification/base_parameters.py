@@ -108,7 +108,7 @@ def base_parameters(
 
     Args:
         mechanism: a tree or a chain, with numbers, or Parameters with default values, for axes and mounts.
-        drives: as of `inverse_dynamics_regressor`.
+        drives: as for `inverse_dynamics_regressor`.
         samples: the number of random states, at least one; three times as many equations as parameters by default.
         seed: of the states.
     Raises: ModelError as `inverse_dynamics_regressor` does.

@@ -56,7 +56,7 @@ def identify(
     `tolerance` of that. The measure does not depend on units. The result has numbers for determined combinations only.
 
     Source: M. Gautier, Dynamic Identification of Robots with Power Model, ICRA (1997), for the weights of unknown
-    noise; M. Gautier (1991), as of `base_parameters`.
+    noise; M. Gautier (1991), as for `base_parameters`.
 
     Args:
         mechanism: a tree. Its numbers are those of known parameters, and where a physical fit begins.

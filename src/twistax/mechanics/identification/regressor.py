@@ -73,7 +73,7 @@ def inverse_dynamics_regressor(
 
     Args:
         mechanism: a tree or a chain.
-        q, qd, qdd: as of `inverse_dynamics`.
+        q, qd, qdd: as for `inverse_dynamics`.
         drives: further parameters, of every joint that moves: "armature" of rotors, "damping", and "friction" with the
             `friction_speed` of each drive. By default armatures of the joints that have one: then $Y theta$ is
             `inverse_dynamics`.

@@ -35,7 +35,7 @@ class StackedRegressor:
 
     Args:
         mechanism: a tree or a chain.
-        drives: as of `inverse_dynamics_regressor`.
+        drives: as for `inverse_dynamics_regressor`.
     Attributes:
         regressor: the expressions.
         states: the states of a sample, with "qdd".

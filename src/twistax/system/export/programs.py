@@ -62,7 +62,7 @@ class Exporter:
     """The functions of a compiled system in one precision, whatever JAX's x64 switch says.
 
     Arguments of all of them are the time, the states, the controls and the parameters, in the order of declaration.
-    `checked` is as of `tx.XLA`: keep 0 x, 0 / x and x - x, which differ from zero where x is not finite. Controls named
+    `checked` is as for `tx.XLA`: keep 0 x, 0 / x and x - x, which differ from zero where x is not finite. Controls named
     in `without` are left out.
     """
 
