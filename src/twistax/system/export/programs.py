@@ -62,8 +62,8 @@ class Exporter:
     """The functions of a compiled system in one precision, whatever JAX's x64 switch says.
 
     Arguments of all of them are the time, the states, the controls and the parameters, in the order of declaration.
-    `checked` is as for `tx.XLA`: keep 0 x, 0 / x and x - x, which differ from zero where x is not finite. Controls named
-    in `without` are left out.
+    `checked` is as for `tx.XLA`: 0 x, 0 / x and x - x, which differ from zero if x is not finite, are not simplified.
+    Controls named in `without` are omitted.
     """
 
     def __init__(self, dynamics: Functions, dtype: Any, checked: bool = False, without: Collection[str] = ()) -> None:
