@@ -199,7 +199,9 @@ class Vehicle:
         motion_states = [name for name in (getattr(state, "name", state) for state in motion) if name in named]
         if motion_states:
             raise ModelError(
-                f"Vehicle.system expects rates of additional states, got {listed(motion_states)}, whose rates the vehicle determines.\n  fix: add forces and torques to wrench, or write a System of vehicle.acceleration(body, wrench)"
+                f"Vehicle.system expects rates of additional states, got {listed(motion_states)}, whose "
+                "rates the vehicle determines.\n  fix: add forces and torques to wrench, or write a "
+                "System of vehicle.acceleration(body, wrench)"
             )
         ready = self.outputs()
         twice = [name for name in outputs or {} if name in ready]
