@@ -174,7 +174,7 @@ def test_a_data_frame_or_the_name_of_what_is_missing(monkeypatch: pytest.MonkeyP
     frame = flown().to_dataframe()
     assert list(frame)[:3] == ["t [s]", "x", "R.qw"]
     np.testing.assert_allclose(frame["x"], XS, atol=1e-14)
-    with pytest.raises(tx.InputError, match=r"two columns are called 'a\[1\] \[m\]'"):
+    with pytest.raises(tx.InputError, match=r"two columns have the header 'a\[1\] \[m\]'"):
         flown().to_dataframe(_Twice())
 
 

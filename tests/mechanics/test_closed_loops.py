@@ -222,7 +222,7 @@ def test_a_linkage_stays_closed_and_keeps_its_energy() -> None:
 
 def test_states_are_brought_to_the_manifold() -> None:
     dynamics, x = moving(), start()
-    with pytest.raises(tx.InputError, match=r"off the manifold of the system by 0\.(.|\n)*dynamics.project"):
+    with pytest.raises(tx.InputError, match=r"from the manifold of the system is 0\.(.|\n)*dynamics.project"):
         tx.integrate(dynamics, off(x, 0.1), t1=1.0, dt=0.1)
     near = dynamics.project(0.0, off(x, 0.1))
     found = dynamics.outputs(0.0, near)

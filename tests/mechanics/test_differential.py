@@ -234,7 +234,10 @@ def test_what_cannot_be_asked_for(unchecked: None) -> None:
         (lambda: DifferentialController(arm, ["flange"], dt=0.01), "expects tasks, such as FrameTask"),
         (lambda: DifferentialController(arm, tasks, dt=0.0), "dt"),
         (lambda: DifferentialController(arm, tasks, dt=0.01, speed=np.ones(3)), "speed expects positive numbers"),
-        (lambda: DifferentialController(arm, tasks, dt=0.01, constraints=[arm.q[0] == 0.0]), "expects inequalities as constraints"),
+        (
+            lambda: DifferentialController(arm, tasks, dt=0.01, constraints=[arm.q[0] == 0.0]),
+            "expects inequalities as constraints",
+        ),
         (lambda: DifferentialController(arm, tasks, dt=0.01, constraints=[arm.qd[0] <= 0.0]), "reads positions"),
         (lambda: controller(x, {}, qd=rest), "expects targets for 'flange_pose'"),
         (lambda: controller(x, {"hand": T}, qd=rest), "no target 'hand'"),

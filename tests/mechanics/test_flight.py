@@ -304,7 +304,11 @@ def test_what_is_refused(unchecked: None) -> None:
     craft = flight.Vehicle()
     for call, error, words in (
         (lambda: flight.Vehicle(earth.WGS84), ModelError, "planet to be of Planet, got Ellipsoid"),
-        (lambda: flight.Vehicle(wind=(1.0, 0.0, 0.0)), ModelError, "wind to be a function of .*\n  fix: for a constant wind use flight.Steady"),
+        (
+            lambda: flight.Vehicle(wind=(1.0, 0.0, 0.0)),
+            ModelError,
+            "wind to be a function of .*\n  fix: for a constant wind use flight.Steady",
+        ),
         (lambda: flight.Planet(earth.WGS84, 9.81), ModelError, "gravity to be of Gravity, got 9.81"),
         (lambda: craft.system(2.0), ModelError, "body to be of SpatialInertia, got 2.0"),
         (lambda: craft.system(BALL, np.zeros(3)), ShapeError, r"wrench with shape \(6,\), got \(3,\)"),

@@ -88,8 +88,9 @@ class KinematicTree:
         self._check_tips(owner)
 
     def _check_tips(self, owner: str) -> None:
-        """Raise ModelError for a joint at a tip (a leaf of the tree) whose body has no inertia about the "
-        "joint's axis."""
+        """Raise ModelError for a joint at a tip (a leaf of the tree) whose body has no inertia
+        about the joint's axis.
+        """
         carrying = {segment.before for segment in self.segments}
         for i, segment in enumerate(self.segments):
             H, M = segment.link.joint.motion_subspace, None if segment.body is None else segment.body.known_matrix

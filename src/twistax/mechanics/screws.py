@@ -125,8 +125,9 @@ def complement(columns: np.ndarray) -> np.ndarray:
 
 
 def turns_of(motion_subspace: Expr) -> tuple[bool, ...] | None:
-    """For each degree of freedom whether it is a rotation, in rad, or a translation, in m; None if H is "
-    "an expression."""
+    """For each degree of freedom whether it is a rotation, in rad, or a translation, in m; None
+    if H is an expression.
+    """
     if not isinstance(motion_subspace, Constant):
         return None
     return tuple(bool(np.any(column[3:])) for column in np.asarray(motion_subspace.value).T)

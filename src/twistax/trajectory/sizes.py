@@ -1,5 +1,6 @@
-"""Typical sizes of states, controls and shared unknowns, measured at a start; they make the solve "
-"independent of units."""
+"""Typical sizes of states, controls and shared unknowns, measured at a start; they make the
+solve independent of units.
+"""
 
 from __future__ import annotations
 

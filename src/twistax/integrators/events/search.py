@@ -1,4 +1,4 @@
-"""The search of a step for the roots of event conditions."""
+"""The search of a step for roots of event conditions."""
 
 from __future__ import annotations
 
@@ -159,7 +159,7 @@ def find_crossings(
 
 
 def halted_code(halt: Halt, code: jax.Array) -> jax.Array:
-    """The number of the result, where the conditions halt the integration."""
+    """The number of the result if the conditions halt the integration."""
     return jnp.where(halt.code != Result.SUCCESS.value, halt.code, code)
 
 

@@ -48,8 +48,9 @@ _NOTHING = Constant(np.zeros(6))
 
 
 class ForceDerivatives(NamedTuple):
-    """Derivatives of joint forces (n,) with respect to positions (right perturbations), velocities and "
-    "accelerations."""
+    """Derivatives of joint forces (n,) with respect to positions (right perturbations),
+    velocities and accelerations.
+    """
 
     q: Expr
     qd: Expr
@@ -57,8 +58,9 @@ class ForceDerivatives(NamedTuple):
 
 
 class AccelerationDerivatives(NamedTuple):
-    """Derivatives of accelerations (n,) with respect to positions (right perturbations), velocities and "
-    "joint forces."""
+    """Derivatives of accelerations (n,) with respect to positions (right perturbations),
+    velocities and joint forces.
+    """
 
     q: Expr
     qd: Expr

@@ -51,8 +51,9 @@ class Moving:
 
     @property
     def gyroscopic(self) -> Expr:
-        """The wrench ad*_W(M W) (6,) with the corresponding terms of masses that move in the body; it "
-        "vanishes with w."""
+        """The wrench ad*_W(M W) (6,) with the corresponding terms of masses that move in the body;
+        it vanishes with w.
+        """
         if self.segment.body is None:
             return _NO_WRENCH
         W = twist(linear=ZERO, angular=self.w)

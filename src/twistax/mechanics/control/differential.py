@@ -246,8 +246,9 @@ class DifferentialController:
     def problem(
         self, x: Arrays, u: Arrays, params: Arrays, qd: Any, numbers: Mapping[str, Any]
     ) -> tuple[tuple[Any, ...], VelocityBounds, Any, Any]:
-        """The parts of the quadratic program in the order of `LeastSquares`, followed by bounds, errors "
-        "and residuals."""
+        """The parts of the quadratic program in the order of `LeastSquares`, followed by bounds,
+        errors and residuals.
+        """
         dt = numbers["dt"]
         e, J = self.tasks(x, u, params)
         b, A = self.equalities(x, u, params)

@@ -255,8 +255,9 @@ def _hull(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _fewer(hull: NDArray[np.float64], most: int) -> NDArray[np.float64]:
-    """At most this number of corners, each the farthest from the previous ones. Raises InputError for "
-    "fewer than four."""
+    """At most this number of corners, each the farthest from the previous ones. Raises
+    InputError for fewer than four.
+    """
     if most < 4:
         raise InputError(f"ConvexPolytope expects most to be 4 or more, got {most}")
     kept = [int(np.argmax(np.linalg.norm(hull - hull.mean(axis=0), axis=1)))]

@@ -113,8 +113,9 @@ def _gradient(U: jax.Array, V: jax.Array, width: Any, n: jax.Array) -> jax.Array
 
 
 def _slopes(U: jax.Array, V: jax.Array, width: Any, n: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Two directions (3, 2) perpendicular to n, the gradient (3,) of the gap, and its curvature (2, 2) "
-    "on the sphere."""
+    """Two directions (3, 2) perpendicular to n, the gradient (3,) of the gap, and its curvature
+    (2, 2) on the sphere.
+    """
     axis = jnp.eye(3, dtype=n.dtype)[jnp.argmin(jnp.abs(n))]
     first = jnp.cross(n, axis)
     first = first / jnp.sqrt(first @ first)

@@ -46,8 +46,9 @@ class Element:
 
     @property
     def place(self) -> str:
-        """File, line and element for messages; for an element without a name, also the enclosing element "
-        "that has one."""
+        """File, line and element for messages; for an element without a name, also the enclosing
+        element that has one.
+        """
         around = self
         while "name" not in around.attributes and around.parent is not None and around.parent.parent is not None:
             around = around.parent

@@ -68,8 +68,9 @@ class Task(abc.ABC):
         return np.broadcast_to(weight, (rows,))
 
     def _target(self, name: str, value: ExprLike | None, shape: tuple[int, ...]) -> Expr:
-        """The target: for None a Control with this name, for numbers a Parameter with this name, else "
-        "the expression."""
+        """The target: for None a Control with this name, for numbers a Parameter with this name,
+        else the expression.
+        """
         owner = type(self).__name__
         if value is None:
             return Control(name, shape)

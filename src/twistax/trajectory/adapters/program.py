@@ -51,8 +51,9 @@ class ProgramStart(NamedTuple):
 
 
 class Reached(NamedTuple):
-    """The result of a solver: the point, multipliers in the problem's units, and the largest rotation of "
-    "a node, rad."""
+    """The result of a solver: the point, multipliers in the problem's units, and the largest
+    rotation of a node, rad.
+    """
 
     point: Iterate
     dynamics: Array  # (intervals, n)

@@ -1,5 +1,6 @@
-"""The solver's units of a controller: measured at its first plan, and again after a large change of the "
-"measured state."""
+"""The solver's units of a controller: measured at its first plan, and again after a large
+change of the measured state.
+"""
 
 from __future__ import annotations
 

@@ -48,8 +48,9 @@ class Cases:
         return {name: choose(k) for name, choose in self._chosen.items()}
 
     def _of(self, what: str, value: Any, axes: Any) -> Choose:
-        """A function that selects one case of an argument: an array with this number of axes, or a dict "
-        "of such arrays."""
+        """A function that selects one case of an argument: an array with this number of axes, or a
+        dict of such arrays.
+        """
         if isinstance(axes, int):
             return self._axis(what, value, axes)
         if not isinstance(value, Mapping) or axes is None:

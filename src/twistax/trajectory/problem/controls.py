@@ -103,8 +103,9 @@ def rate_name(name: str) -> str:
 
 
 def rates_among(controls: Sequence[Control]) -> dict[str, tuple[str, int]]:
-    """Name of a rate among controls -> the name of the control that is differentiated, and the order of "
-    "the derivative."""
+    """Name of a rate among controls -> the name of the control that is differentiated, and the
+    order of the derivative.
+    """
     known, rates = {leaf.name for leaf in controls}, {}
     for name in known:
         inner, order = name, 0

@@ -230,8 +230,9 @@ def _is_by_implicit_steps(problem: Any, options: SolveOptions) -> bool:
 def _by_implicit_steps(
     problem: Any, result: Any, start: Iterate, instance: Instance, again: dict[str, Any]
 ) -> tuple[Any, str]:
-    """The result, or a better one with implicit steps if explicit steps are unstable; with a sentence "
-    "for its message."""
+    """The result, or a better one with implicit steps if explicit steps are unstable; with a
+    sentence for its message.
+    """
     at_once = result.status is Status.INFEASIBLE and result.iterations <= 1
     if result.status in AT_OPTIMUM or at_once or result.iterations >= again["max_iterations"]:
         return result, ""

@@ -145,8 +145,9 @@ class PathRows:
 
     @property
     def of_steps(self) -> frozenset[str]:
-        """Names of the rows that are imposed only at the ends of intervals, together with the controls "
-        "of the interval."""
+        """Names of the rows that are imposed only at the ends of intervals, together with the
+        controls of the interval.
+        """
         return frozenset(name for name, reads in zip(self.names, self.reads) if reads is Reads.STEP)
 
     def at_nodes(self) -> Array:

@@ -142,8 +142,9 @@ class Quality:
             return undetermined(staged, warm, instance, [part.continuous.derivatives for part in problem.parts])
 
     def explain(self) -> str:
-        """A summary as text with one fact per line: errors, active constraints, undetermined controls, a "
-        "finer rollout."""
+        """A summary as text with one fact per line: errors, active constraints, undetermined
+        controls, a finer rollout.
+        """
         return _explained(self, self._undetermined)
 
     def shifted(self, steps: int = 1) -> WarmStart:

@@ -200,8 +200,9 @@ class OptimalityConditions:
         return self.shooting.border.complete(shared, self._numbers.limits(data))
 
     def _split(self, values: Any, width: int) -> tuple[Any, Any, Any, Any]:
-        """Split an array in the order of the stages into nodes, controls, shared unknowns, and arguments "
-        "of the solve."""
+        """Split an array in the order of the stages into nodes, controls, shared unknowns, and
+        arguments of the solve.
+        """
         count, m, g = self.shooting.intervals, self.shooting.m, self.staged.border.unknowns
         body, last, shared, numbers = jnp.split(values, np.cumsum([count * (width + m), width, g]))
         body = body.reshape(count, width + m)
@@ -287,8 +288,9 @@ class OptimalityConditions:
         return self._moves[transposed].now(row, np.reshape(side, (-1, np.shape(side)[-1]))).reshape(np.shape(side))
 
     def _conditions(self, optimum: Optimum, flat: Any) -> Any:
-        """The derivative of the first-order conditions along a move, in JAX: the operator that "
-        "`by_the_core` inverts."""
+        """The derivative of the first-order conditions along a move, in JAX: the operator that
+        `by_the_core` inverts.
+        """
         move = self.split(flat)
         (gradient, c, h, e), cost = jax.jvp(
             functools.partial(self._residuals, optimum), (jax.tree.map(jnp.zeros_like, move),), (move,)

@@ -1,5 +1,6 @@
-"""The functions of a phase as compiled kernels for the solver's core. Phases that differ only in numbers "
-"share kernels."""
+"""The functions of a phase as compiled kernels for the solver's core. Phases that differ
+only in numbers share kernels.
+"""
 
 from __future__ import annotations
 

@@ -82,8 +82,9 @@ def _limits(free: Any) -> tuple[float, float] | None:
 
 
 def mesh_of(nodes: Any) -> Mesh:
-    """The argument itself if it is a mesh; else the mesh with this number of nodes, or with nodes at "
-    "these fractions."""
+    """The argument itself if it is a mesh; else the mesh with this number of nodes, or with
+    nodes at these fractions.
+    """
     return nodes if isinstance(nodes, Mesh) else Mesh(nodes)
 
 

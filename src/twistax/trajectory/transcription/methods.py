@@ -93,8 +93,9 @@ class Collocation:
 
     @property
     def scheme(self) -> Scheme:
-        """The method in the form of the solver's core. The running cost is integrated with the weights "
-        "of the tableau."""
+        """The method in the form of the solver's core. The running cost is integrated with the
+        weights of the tableau.
+        """
         a, b, c = self.tableau.a, self.tableau.b, self.tableau.c
         weights = np.concatenate([np.zeros(self.substeps + 1), np.tile(b / self.substeps, self.substeps)])
         return Scheme(a, b, c, self.substeps, True, weights)

@@ -48,8 +48,9 @@ class RowLayout:
         return self.per_interval - len(self.path_indices)
 
     def spread(self, of_rows: Array) -> Array:
-        """(rows,) from values (intervals, path rows): the value of an interval at every point of it that "
-        "has the row."""
+        """(rows,) from values (intervals, path rows): the value of an interval at every point of it
+        that has the row.
+        """
         inner = np.zeros((len(of_rows), self.per_interval))
         inner[:, : len(self.path_indices)] = of_rows[:, self.path_indices % self.path_rows]
         return np.concatenate([inner.ravel(), np.zeros(len(self.names) - inner.size)])

@@ -229,8 +229,9 @@ class Shooting(Transcribed):
         return f"'dynamics of {self.states[column]}' between nodes {stage} and {stage + 1}"
 
     def spread_over_points(self, of_rows: Array) -> Array:
-        """(rows,) from values (intervals, path rows): the value of an interval at every point of it that "
-        "has the row."""
+        """(rows,) from values (intervals, path rows): the value of an interval at every point of it
+        that has the row.
+        """
         return self.layout.spread(of_rows)
 
     def row_scales(self, rows: Array) -> Array:
@@ -274,8 +275,9 @@ class Shooting(Transcribed):
         return conditions.values(begin + share * length, x, params | self.border.params(b))
 
     def end_at(self, z: jax.Array, last: tuple[Arrays, jax.Array], data: Instance) -> jax.Array:
-        """The rows of the end and the final cost, from the last node and the shared unknowns; controls "
-        "are set to zero."""
+        """The rows of the end and the final cost, from the last node and the shared unknowns;
+        controls are set to zero.
+        """
         base, b = last[0], last[1] + z[self.n :]
         q, share = jnp.concatenate([z[: self.n], jnp.zeros(self.m, z.dtype), b]), jnp.ones((), z.dtype)
         _, at = self.inputs_at(q, share, base, self._at_share(data.params, 1.0))

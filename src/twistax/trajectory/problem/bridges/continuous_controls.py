@@ -117,8 +117,9 @@ class ContinuousControls(Bridge):
 
     @property
     def derivatives(self) -> dict[str, str]:
-        """Name of the piecewise constant derivative of a continuous control -> the expression by which "
-        "users write it."""
+        """Name of the piecewise constant derivative of a continuous control -> the expression by
+        which users write it.
+        """
         return {
             last.name: f"{'Rate(' * len(states)}{name}{')' * len(states)}"
             for name, (states, last) in self._chains.items()
