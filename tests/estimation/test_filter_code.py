@@ -95,7 +95,7 @@ def test_the_trapezoidal_rule_tends_to_the_integral() -> None:
 @pytest.mark.parametrize(
     ("kalman", "message"),
     [
-        (lambda: ErrorStateKalman(SATELLITE, []), "no scalar form.\n  fix: ErrorStateKalman"),
+        (lambda: ErrorStateKalman(SATELLITE, []), "no scalar form.\n  fix: use ErrorStateKalman"),
         (lambda: SquareRootKalman(SATELLITE, []), "QR"),
         (
             lambda: ErrorStateKalman(

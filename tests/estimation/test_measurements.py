@@ -53,7 +53,7 @@ INDEFINITE = np.array([[1.0, 2.0, 0.0], [2.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
 @pytest.mark.parametrize(
     ("options", "error", "message"),
     [
-        ({}, tx.ModelError, "covariance=..., or a tx.Noise"),
+        ({}, tx.ModelError, "pass covariance=..., or use a tx.Noise"),
         ({"covariance": 0.0}, tx.ModelError, "positive definite"),
         ({"covariance": INDEFINITE}, tx.ModelError, "positive definite"),
         ({"covariance": tx.Parameter("R", value=INDEFINITE)}, tx.ModelError, "positive definite"),
