@@ -112,7 +112,7 @@ WRONG: dict[str, tuple[Callable[[], tx.System], str, str]] = {
     ),
     "a scalar added to a vector": (outputs(y=v + speed), "a scalar is added to each entry", "a direction"),
     "a scalar taken off a vector": (outputs(y=w - speed / x), "a scalar is added to each entry", "a direction"),
-    "a pose times a length": (outputs(y=(x * g)[:3, :3]), "a pose has no unit", "divide by"),
+    "a pose times a length": (outputs(y=(x * g)[:3, :3]), "a pose has no single unit", "divide by"),
     "a table of another unit": (outputs(y=x + tx.Linterp(angle, [0.0, 1.0], MASSES)), "Add has one unit", "kg"),
     "a table at another unit": (outputs(y=tx.Linterp(angle, MASSES, [0.0, 1.0])), "Linterp has one unit along", "kg"),
     "a quantity": (outputs(y=x + 3.0 * tx.units.seconds), "Add has one unit, got m and s", "divide"),
@@ -190,7 +190,7 @@ def test_a_kind_is_for_a_shape_and_a_unit_is_si() -> None:
         tx.State("V", shape=(3,), kind=tx.Twist("body"))
     with pytest.raises(tx.ModelError, match="'furlong' is none of"):
         tx.State("h", unit="furlong")
-    with pytest.raises(tx.ModelError, match="leaves have SI units"):
+    with pytest.raises(tx.ModelError, match="use an SI unit"):
         tx.State("h", unit=tx.units.feet)
 
 

@@ -41,7 +41,11 @@ def test_a_rate_after_a_substitution(rate: tx.Expr, exchange: dict[Any, Any], ri
 @pytest.mark.parametrize(
     ("rate", "exchange", "match"),
     [
-        (tx.Rate(P * X, {X: V}), {P: Y}, "state 'y', whose rate is not known, in place of 'p'"),
+        (
+            tx.Rate(P * X, {X: V}),
+            {P: Y},
+            "replaces 'p', which has no rate, by an expression of the state 'y', whose rate is not known",
+        ),
         (tx.Rate(P * X, {X: V}), {P: X, X: Y}, "state 'x', whose rate is not known"),
         (tx.Rate(P, {}), {P: X}, "state 'x', whose rate is not known"),
         (tx.Rate(P * X, {X: V}), {P: tx.Time()}, "time .*whose rate is not known"),

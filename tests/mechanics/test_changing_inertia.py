@@ -201,7 +201,7 @@ def test_a_mass_that_is_a_state_of_rate_zero_stays() -> None:
         for name, value in expected.items():
             np.testing.assert_allclose(actual[name], value, rtol=1e-12, atol=1e-12)
     for rates in ({mass: SPEED}, {}):
-        with pytest.raises(tx.ModelError, match=r"(?s)mass that does not change.*fix: rates="):
+        with pytest.raises(tx.ModelError, match=r"(?s)mass that does not change.*fix: pass rates="):
             body(mass, rates={**RATES, **rates}, mass_leaves=False)
 
 

@@ -38,7 +38,7 @@ def records(**changes: Any) -> dict[str, Any]:
         (lambda: ARM.to_urdf(leave_out=None), ModelError, "leave_out expects names"),
         (lambda: Drive(upper=np.inf), ModelError, "None where there is no limit"),
         (lambda: ARM.system(controls=3), ModelError, "joints expects names"),
-        (lambda: ARM.system(rates=[1]), ModelError, "rates are expressions by states"),
+        (lambda: ARM.system(rates=[1]), ModelError, "rates must be a dict from states"),
         (lambda: ARM.system(forces=[np.nan, 0.0]), ModelError, "forces to be finite"),
         (lambda: ARM.system(wrenches={"b": np.full(6, np.inf)}), ModelError, "wrench at 'b' to be finite"),
         (lambda: ARM.inverse_system(outputs=[1]), ModelError, "outputs expects expressions by name"),

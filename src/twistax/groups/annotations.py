@@ -1,4 +1,6 @@
-"""Types of arrays with their shapes, by jaxtyping where that is loaded: it takes a third of `import twistax`."""
+"""Types of arrays with their shapes, by jaxtyping if that is loaded: it takes a third of the time of `import
+twistax`.
+"""
 
 from __future__ import annotations
 
