@@ -218,7 +218,7 @@ def test_results_beyond_single_precision_do_not_hide_errors(tmp_path: Path) -> N
 
 def test_names_that_become_one_are_refused(tmp_path: Path) -> None:
     x, y = tx.State("a.b"), tx.State("a b")
-    with pytest.raises(tx.ModelError, match=r"'a\.b' and 'a b' would both be called x_a_b"):
+    with pytest.raises(tx.ModelError, match=r"'a\.b' and 'a b' would both have the name x_a_b"):
         tx.compile(tx.System(rates={x: y, y: x})).to_c(tmp_path)
 
 

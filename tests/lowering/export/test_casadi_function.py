@@ -108,7 +108,7 @@ def test_names_that_meet_are_refused(casadi: Any) -> None:
         dynamics.to_casadi("outputs")
     with pytest.raises(tx.ModelError, match="families among rates, outputs, constraints, corrections, got 'rate'"):
         dynamics.to_casadi("rate")
-    with pytest.raises(tx.InputError, match=r"name expects what CasADi allows, .* got 'two words'"):
+    with pytest.raises(tx.InputError, match=r"name expects letters, digits and single underscores, .* got 'two words'"):
         dynamics.to_casadi(name="two words")
 
 
