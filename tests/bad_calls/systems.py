@@ -53,7 +53,7 @@ ROWS = [
     bad("a slope of another shape", lambda: tx.System({v: -v}, slopes={v: [(v, v)]}), "slopes['v']", "(3, 3)", "(3,)"),
     bad("a slope by a matrix", lambda: tx.System({v: -v}, slopes={v: [(np.eye(3), v)]}), "slopes['v']", "(3, 3)"),
     bad("a slope of what is not there", lambda: tx.System({v: -v}, slopes={v: [(u[None], v)]}), "slopes['v']", "'u'"),
-    bad("a rate given twice", lambda: tx.System({s: -s, "s": s}), "'s'", "twice", "one key a state"),
+    bad("a rate given twice", lambda: tx.System({s: -s, "s": s}), "'s'", "twice", "one key for each state"),
     bad(
         "a state and a control of one name",
         lambda: tx.System({s: tx.Control("s")}),

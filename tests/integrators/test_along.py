@@ -290,7 +290,7 @@ def test_polynomials_stop_at_jumps_and_events_and_have_derivatives() -> None:
 
 
 def test_what_has_no_polynomial_says_so() -> None:
-    with pytest.raises(tx.InputError, match="between is for steps chosen by tolerances"):
+    with pytest.raises(tx.InputError, match="between applies to adaptive steps"):
         flown(between=tx.Between.POLYNOMIAL)
     method = tx.ImplicitRKMK(tx.tableaus.RADAU_IIA5)
     with pytest.raises(tx.ModelError, match="has no polynomial between the ends of its steps"):

@@ -141,7 +141,7 @@ def test_methods_are_values() -> None:
             r"a\[1\] has 2 weights, but only 1 earlier slopes exist: the method would be implicit",
         ),
         ([[], [[0.0]]], [[1.0]], r"a\[1\] has an exponential whose weights are all zero"),
-        ([[], [[1.0]]], [[0.5, 0.25, 0.25]], "b weighs 3 slopes where 2 are known"),
+        ([[], [[1.0]]], [[0.5, 0.25, 0.25]], "b has 3 weights, but only 2 earlier slopes exist"),
         ([[], [1.0]], [[1.0]], r"a\[1\] is not a list of rows of numbers"),
         ([[], [[float("nan")]]], [[1.0]], "a has entries that are not finite"),
     ],

@@ -156,7 +156,7 @@ def test_a_parameter_without_a_value() -> None:
 
 def test_nothing_to_lower() -> None:
     for nothing in ((), {}, []):
-        with pytest.raises(tx.ModelError, match="nothing to lower"):
+        with pytest.raises(tx.ModelError, match="there is no expression in"):
             tx.lower(nothing)
 
 

@@ -143,7 +143,7 @@ def test_a_mechanism_takes_the_rates_of_further_states() -> None:
     x = {"q": np.ones(1), "qd": np.ones(7), "root_position": np.eye(4), "length": np.ones(()), "speed": np.ones(())}
     one, other = (tx.compile(each)(0.0, x)["qd"] for each in (system, known))
     np.testing.assert_array_equal(one, other)
-    with pytest.raises(tx.ModelError, match=r"rates of further states, got 'qd'"):
+    with pytest.raises(tx.ModelError, match=r"rates of additional states, got 'qd'"):
         inside.system(rates={"qd": np.zeros(7)})
 
 

@@ -279,7 +279,7 @@ def test_bad_loops_are_refused(unchecked: None) -> None:
     ):
         with pytest.raises(tx.ModelError, match=message):
             Mechanism(links, loops=closure)
-    with pytest.raises(tx.ModelError, match="two frames, got 'pin' twice"):
+    with pytest.raises(tx.ModelError, match="two different frames, got 'pin' twice"):
         loops.AxisLoop("a", "pin", "pin", y)
     with pytest.raises(tx.ModelError, match="no loop 'b'"):
         mechanics.loop_wrench(four_bar(), "b")

@@ -131,7 +131,7 @@ def test_inputs_units_and_what_a_call_refuses() -> None:
         ("<m:plus/>", "<m:divide/>", "line {line}, <divide>: expected 2 operands, got 3"),
         ("<m:cn>100</m:cn>", "<m:cn>nan</m:cn>", "line {line}, <cn>: expected a finite number, got 'nan'"),
         ('minValue="-90"', 'minValue="91"', "line {line}, <variableDef.*minValue 91 is above maxValue 90"),
-        ("<checkData>", "<switch/><checkData>", "line {line}, <switch>: is not read"),
+        ("<checkData>", "<switch/><checkData>", "line {line}, <switch>: is not supported"),
         ("<signalName>steps<", "<signalName>stpes<", "line {line}, <signal>: there is no variable 'stpes'"),
         ("nowhere/DAVEfunc.dtd\"", 'nowhere/DAVEfunc.dtd" [<!ENTITY a "1">]', "line 2: a document type or entity"),
         (">0.2, 0.6", ">&a; 0.6", "line {line}: unknown entity &a;"),

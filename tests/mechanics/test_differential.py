@@ -238,7 +238,10 @@ def test_what_cannot_be_asked_for(unchecked: None) -> None:
             lambda: DifferentialController(arm, tasks, dt=0.01, constraints=[arm.q[0] == 0.0]),
             "expects inequalities as constraints",
         ),
-        (lambda: DifferentialController(arm, tasks, dt=0.01, constraints=[arm.qd[0] <= 0.0]), "reads positions"),
+        (
+            lambda: DifferentialController(arm, tasks, dt=0.01, constraints=[arm.qd[0] <= 0.0]),
+            "expects expressions of positions",
+        ),
         (lambda: controller(x, {}, qd=rest), "expects targets for 'flange_pose'"),
         (lambda: controller(x, {"hand": T}, qd=rest), "no target 'hand'"),
         (lambda: controller({}, {"flange_pose": T}, qd=rest), "x expects 'q'"),

@@ -326,7 +326,7 @@ def test_what_is_refused(unchecked: None) -> None:
 def test_names_and_sizes_that_are_refused() -> None:
     craft = flight.Vehicle()
     body = SpatialInertia(mass=1.0, inertia=np.eye(3))
-    with pytest.raises(ModelError, match="further outputs, got 'altitude'"):
+    with pytest.raises(ModelError, match="additional outputs, got 'altitude'"):
         craft.system(body, outputs={"altitude": craft.place.altitude / feet})
     with pytest.raises(ModelError, match="area must be 0 or more"):
         flight.drag(craft.air, -0.1)

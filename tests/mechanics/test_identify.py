@@ -204,7 +204,7 @@ def test_deviations_over_seeds_are_the_bound_for_seven_links() -> None:
 
 def test_bad_input(real: Mechanism, data: dict[str, np.ndarray], unchecked: None) -> None:
     for changed, match in (
-        ({"tau": data["tau"][:5]}, "as many samples"),
+        ({"tau": data["tau"][:5]}, "the same number of samples"),
         ({"q": data["q"][:, :2]}, r"'q' with shape \(samples, 3\), got \(150, 2\)"),
         ({"qd": np.where(np.arange(150)[:, None] == 7, np.nan, data["qd"])}, "'qd' at sample 7"),
         ({"tau": 0.0 * data["tau"]}, "not all zero"),

@@ -75,7 +75,9 @@ class Dynamics:
         return self.functions.call("outputs", t, x, u, params)
 
     def constraints(self, t: Any, x: Values, u: Values | None = None, params: Values | None = None) -> Arrays:
-        """`{"inequality": (n,) <= 0, "equality": (m,) = 0}` in the order of declaration. Raises the errors of a call."""
+        """`{"inequality": (n,) <= 0, "equality": (m,) = 0}` in the order of declaration. Raises the errors of a
+        call.
+        """
         return self.functions.call("constraints", t, x, u, params)
 
     def jacobian(

@@ -246,7 +246,7 @@ def test_arguments_that_are_wrong(tmp_path: Path) -> None:
     with pytest.raises(tx.InputError, match="float64 or float32, got 'real'"):
         dynamics.to_c(tmp_path, dtype="real")
     for points in ([(0.0,)], [(0.0, {"x": 1.0}, {}, {}, {})]):
-        with pytest.raises(tx.InputError, match=r"points expects \(t, x, u, params\) each"):
+        with pytest.raises(tx.InputError, match=r"points expects tuples \(t, x, u, params\)"):
             dynamics.to_c(tmp_path, points=points)
     with pytest.raises(tx.InputError, match="points expects at least one"):
         dynamics.to_c(tmp_path, points=[])

@@ -121,7 +121,7 @@ def file(tmp_path: Path) -> Path:
 
 def test_another_format_is_refused(file: Path) -> None:
     edited(file, lambda content: content.update(format=4, twistax="9.9.9"))
-    with pytest.raises(tx.InputError, match=r"saved by twistax 9\.9\.9 in format 4; this is twistax .* format 3"):
+    with pytest.raises(tx.InputError, match=r"saved by twistax 9\.9\.9 in format 4; but twistax .* format 3"):
         tx.load(file)
 
 
