@@ -1,5 +1,5 @@
-"""Whether SOLVED can be trusted: problems in other units, with wider limits, from several starts, all states in one
-vector; on one mesh each."""
+"""Whether the status SOLVED is reliable: problems in other units, with wider limits, from several starts, all states in
+one vector; on one mesh each."""
 
 from __future__ import annotations
 
