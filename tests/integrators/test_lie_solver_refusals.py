@@ -71,10 +71,10 @@ def test_solvers_that_are_no_runge_kutta_methods(unchecked: None) -> None:
 
 def test_the_number_of_terms() -> None:
     both = diffrax.MultiTerm(*(tx.diffrax.lie_term(half) for half in halves()))
-    with pytest.raises(tx.ModelError, match=r"Tsit5 got 2 terms.\n  fix: give it one"):
+    with pytest.raises(tx.ModelError, match=r"Tsit5 got 2 terms.\n  fix: pass one"):
         solve(both, TSIT5)
     control = tx.diffrax.controller(1e-6)
-    with pytest.raises(tx.ModelError, match=r"KenCarp4 got 1 term.\n  fix: give it diffrax.MultiTerm"):
+    with pytest.raises(tx.ModelError, match=r"KenCarp4 got 1 term.\n  fix: pass diffrax.MultiTerm"):
         solve(LIE, tx.diffrax.LieSolver(diffrax.KenCarp4(), top()), stepsize_controller=control)
 
 

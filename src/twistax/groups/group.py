@@ -230,7 +230,7 @@ class Group(ABC):
         raise ModelError(f"with_order applies to groups of poses, got the group {self.name}")
 
     def known_defect(self, g: np.ndarray) -> float:
-        """`defect` of numbers, in double precision. Works while other values are traced."""
+        """`defect` of an array of numbers, in double precision. It can be called inside a JAX trace."""
         from twistax.jax_inside import in_double  # which loads what the language alone does not need
 
         with in_double():

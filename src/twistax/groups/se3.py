@@ -102,7 +102,10 @@ def hat(xi: Input) -> Float[Array, "4 4"]:
 
 
 def vee(X: Input) -> Float[Array, "6"]:
-    """The inverse of hat; of the rotation block the skew part is used. Shapes: (4, 4) -> (6,). Raises ShapeError."""
+    """The inverse of hat. It uses the skew-symmetric part of the rotation block. Shapes: (4, 4) -> (6,).
+
+    Raises ShapeError.
+    """
     (X,) = of_shape("se3.vee", {"X": (4, 4)}, X)
     return jnp.concatenate([X[:3, 3], so3.vee(X[:3, :3])])
 

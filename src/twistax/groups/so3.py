@@ -88,7 +88,7 @@ def hat(w: Input) -> Float[Array, "3 3"]:
 
 
 def vee(W: Input) -> Float[Array, "3"]:
-    """The inverse of hat; of other matrices the skew part is used. Shapes: (3, 3) -> (3,). Raises ShapeError."""
+    """The inverse of hat. It uses the skew-symmetric part of W. Shapes: (3, 3) -> (3,). Raises ShapeError."""
     (W,) = of_shape("so3.vee", {"W": (3, 3)}, W)
     _, xy, xz, yx, _, yz, zx, zy, _ = unpack(W)
     return vector([0.5 * (zy - yz), 0.5 * (xz - zx), 0.5 * (yx - xy)])

@@ -228,9 +228,10 @@ def _judge(motion: FreeMotion, compared: dict[str, Any]) -> None:
         )
     if compared["change"] and np.abs(compared["change"][velocity]).max() > tolerance * size:
         raise ModelError(
-            f"Splitting: the inertia of {motion!r} depends on parameters of the system that it does not name.\n"
-            "  fix: give inertia as the Parameter, its name, or an expression of parameters; or fold them into the "
-            "system: tx.compile(system, bake={...})"
+            f"Splitting: the inertia of {motion!r} depends on parameters of the system that its argument inertia "
+            "does not contain.\n"
+            "  fix: give inertia as the Parameter, its name, or an expression of parameters; or make the parameters "
+            "constants: tx.compile(system, bake={...})"
         )
 
 
