@@ -91,7 +91,7 @@ def test_poses_and_inertias_refuse_other_units() -> None:
 
 
 def test_sums_of_different_units_are_refused() -> None:
-    with pytest.raises(tx.OperationError, match=r"0.3048 m and 1.0 s has no meaning"):
+    with pytest.raises(tx.OperationError, match=r"0.3048 m and 1.0 s cannot be added"):
         _ = feet + seconds
     with pytest.raises(tx.OperationError, match=r"a whole number as exponent, got 0.5"):
         _ = feet**0.5

@@ -46,7 +46,7 @@ ROWS = [
     bad("a sum with NaN", lambda: tx.System({s: -s + float("nan")}), "'s'", "nan"),
     bad("an entry of NaN", lambda: tx.System({v: tx.Concat(s, 0.0, np.nan), s: -s}), "'v'", "nan"),
     bad("an output of NaN", lambda: tx.System({s: -s}, {"y": s * np.nan}), "'y'", "nan"),
-    bad("two states of one name", lambda: tx.System({s: 1.0, tx.State("s"): 2.0}), "'s'", "two", "names are unique"),
+    bad("two states of one name", lambda: tx.System({s: 1.0, tx.State("s"): 2.0}), "'s'", "two", "unique names"),
     bad("slopes as a list", lambda: tx.System({s: -s}, slopes=[(s, -1.0)]), "slopes", "list"),
     bad("slopes of no state", lambda: tx.System({s: -s}, slopes={u: [(s, -1.0)]}), "slopes", "'u'", "s"),
     bad("slopes that are no pairs", lambda: tx.System({s: -s}, slopes={s: -1.0}), "slopes['s']", "pairs", "-1.0"),

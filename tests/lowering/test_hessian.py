@@ -387,5 +387,5 @@ def test_wrong_names() -> None:
             dynamics.hessian(0.0, {"y": 1.0}, None, None, {name: 1.0})
     with pytest.raises(tx.InputError, match=r"'up'.*is a condition, not a number"):
         dynamics.hessian_pattern("up")
-    with pytest.raises(tx.InputError, match="wrt names 'z'; possible names are 'x', 'u' and 'params'"):
+    with pytest.raises(tx.InputError, match="wrt expects names out of 'x', 'u' and 'params', got 'z'"):
         dynamics.hessian(0.0, {"y": 1.0}, None, None, {"inequality": [1.0]}, wrt="z")

@@ -288,7 +288,7 @@ def test_what_is_no_tree_is_refused(unchecked: None) -> None:
         Mechanism([link("a"), link("a")])
     with pytest.raises(tx.ModelError, match="joint 'b' carries no mass"):
         Mechanism([link("a"), link("b", "a", None)]).system()
-    with pytest.raises(tx.ModelError, match="'b' follows 'c'"):
+    with pytest.raises(tx.ModelError, match="'b' mimics 'c'"):
         Mechanism([link("a"), link("b", "a", mimic=Mimic("c"))])
     with pytest.raises(tx.ModelError, match="a Mimic as mimic, and a joint with one degree of freedom"):
         Link(joints.Spherical("ball"), ball, np.eye(4), mimic=Mimic("a"))

@@ -100,7 +100,8 @@ class Operators:
             )
         if kwargs:
             raise OperationError(
-                f"np.{name} does not accept keyword arguments with expressions, got {', '.join(kwargs)}"
+                f"np.{name} does not accept keyword arguments with expressions, got {', '.join(kwargs)}\n"
+                "  fix: omit them"
             )
         return function(*inputs)
 

@@ -388,7 +388,7 @@ def check_kinds(wrt: tuple[str, ...]) -> None:
     """Raise InputError unless all entries are "x", "u" or "params", each at most once."""
     for kind in wrt:
         if kind not in ("x", "u", "params"):
-            raise InputError(f"wrt names {kind!r}; possible names are 'x', 'u' and 'params'")
+            raise InputError(f"wrt expects names out of 'x', 'u' and 'params', got {kind!r}")
     if len(set(wrt)) < len(wrt):
         raise InputError(f"wrt expects each of 'x', 'u' and 'params' once, got {wrt}")
 

@@ -86,7 +86,7 @@ def check_name(name: str) -> None:
     if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
         raise InputError(f"name expects a letter, then letters, digits and underscores, got {name!r}")
     if name.lower() in _STANDARD.split():
-        raise InputError(f"the name {name!r} is not possible, because {name.lower()}.h is a header of C")
+        raise InputError(f"name expects a name that no C header has, got {name!r}: {name.lower()}.h is a header of C")
 
 
 def _real(dtype: Any) -> CType:
