@@ -89,7 +89,7 @@ def test_what_is_no_spline() -> None:
         Spline(2, rate=-1.0)
     with pytest.raises(tx.ShapeError, match="rate of 'u' expects shape"):
         problem(Spline(2, rate=[1.0, 2.0]))
-    with pytest.raises(tx.ModelError, match="reads the rate of rate of u, which is held"):
+    with pytest.raises(tx.ModelError, match="reads the rate of rate of u, but the control is piecewise constant"):
         problem(Linear(), running=Rate(Rate(u)) ** 2)
     p, v = dynamics.states
     bent = tx.compile(tx.System(rates={p: v, v: u}, constraints={"bent": Rate(Rate(u)) <= 1.0}))
