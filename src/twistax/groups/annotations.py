@@ -1,5 +1,6 @@
-"""Types of arrays with their shapes, by jaxtyping if that is loaded: it takes a third of the time of `import
-twistax`.
+"""Types of arrays with their shapes.
+
+They are jaxtyping's if jaxtyping is already imported. To import it would take a third of the time of `import twistax`.
 """
 
 from __future__ import annotations

@@ -245,8 +245,8 @@ def _check(solver: Any, dynamics: Any, chart: Any) -> None:
     known = (diffrax.AbstractRungeKutta, diffrax.Euler, diffrax.ImplicitEuler)
     if not isinstance(inner, known) or isinstance(inner, diffrax.AbstractWrappedSolver):
         raise ModelError(
-            f"LieSolver wraps Runge-Kutta solvers, got {type(solver).__name__}: its steps do not stay in coordinates "
-            "around one start.\n"
+            f"LieSolver wraps Runge-Kutta solvers, got {type(solver).__name__}. The stages of a step must be "
+            "coordinates around the state at its start.\n"
             "  fix: use diffrax.Tsit5(), diffrax.Dopri8(), diffrax.Kvaerno5() or another Runge-Kutta solver"
         )
     chart_of("LieSolver", chart, Exponential())

@@ -94,7 +94,7 @@ class Event:
         terminal: True: the integration ends there. False: it continues, and `Solution.crossings` has the time, the
             state and the direction of each crossing.
         at_start: an `AtStart`. The default is STOP for comparisons and CROSSING for expressions.
-            To continue from an event that ended an integration: `AtStart.IGNORE`.
+            Use `AtStart.IGNORE` to continue after an event that ended an integration.
 
     Raises:
         ModelError: a condition of another type or shape; an invalid direction, or a direction for a comparison, which

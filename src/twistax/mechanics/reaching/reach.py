@@ -37,8 +37,8 @@ class ReachStatus(enum.IntEnum):
     - `REACHED`: all frames are at their targets within the tolerances, all tasks are satisfied, and all constraints
     hold.
     - `LIMIT`: the search from the best seed ended at joint limits; `at_limit` marks these joints.
-    - `UNREACHABLE`: the search from the best seed ended away from joint limits: at a minimum of the distance if `slope`
-      is small, else after all iterations.
+    - `UNREACHABLE`: the search from the best seed ended away from joint limits. If `slope` is small, it ended at a
+      minimum of the distance; otherwise it ran out of iterations.
     """
 
     REACHED = 0
