@@ -177,7 +177,7 @@ def test_odd_roots_and_the_values_of_checks(tmp_path: Path) -> None:
     with pytest.raises(tx.ModelError, match="'a' given twice"):
         model.values({"a": 1.0}, a=2.0)
     path.write_text(text.replace("<signalValue>2<", "<signalValue>3<"))
-    with pytest.raises(tx.ModelError, match="gives 'c' the value 3, which is not an input"):
+    with pytest.raises(tx.ModelError, match="sets 'c' to 3, but 'c' is not an input"):
         load_daveml(path).check()
 
 

@@ -115,7 +115,9 @@ class Filter(ABC):
         return P
 
     def multiplied(self, factor: jax.Array) -> jax.Array:
-        """The covariance, from the form that `propagated` and `corrected` use."""
+        """The covariance of a factor, the form of the covariance in `propagated` and `corrected`. Here they are the
+        same.
+        """
         return factor
 
     @functools.cached_property

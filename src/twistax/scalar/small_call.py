@@ -1,10 +1,10 @@
 """Functions that XLA compiles as one small function, in which loops run fast under default settings.
 
 XLA on the CPU runs a loop as a chain of small kernels, some 50 ns each, unless the loop is compiled as one function.
-The attribute that requests it is not documented, so it is set only on the CPU, for functions made of operations known
-to compile that way, on arrays of at most thousands of entries, and with every argument in use. On other platforms, and
-under vmap, the function is executed unchanged, with the same result. `tests/internals/test_small_call.py` fails if the
-attribute loses its effect.
+The XLA attribute that requests it is not documented, so it is set only on the CPU, for functions made of operations
+known to compile that way, on arrays of at most thousands of entries, and with every argument in use. On other
+platforms, and under vmap, the function is executed unchanged, with the same result. If the XLA attribute loses its
+effect, `tests/internals/test_small_call.py` fails.
 """
 
 from __future__ import annotations

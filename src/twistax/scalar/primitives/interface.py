@@ -21,9 +21,9 @@ class Limits:
     """The sizes up to which library calls and loops are unrolled, because larger ones take too long to compile.
 
     Attributes:
-        pivoted: of matrices with pivoted LU, where the choice of pivots takes more than the elimination.
-        table: of tables that are read at a place known only at run time, by comparison with each place.
-        equations: loops, all iterations together, and branches.
+        pivoted: the size of a matrix with pivoted LU. The choice of pivots takes more than the elimination.
+        table: the size of a table with an index known only at run time. The index is compared with each place.
+        equations: the equations of a loop, all iterations together, or of branches.
     """
 
     pivoted: int = 4

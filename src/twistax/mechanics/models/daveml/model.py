@@ -259,7 +259,7 @@ class DaveModel:
             for name, given_value in shot.inputs.items():
                 if name not in self.inputs and given_value.value != self.variables[name].initial:
                     raise given_value.element.wrong(
-                        f"gives {name!r} the value {given_value.value:g}, which is not an input"
+                        f"sets {name!r} to {given_value.value:g}, but {name!r} is not an input"
                     )
             for name, signal in self.inputs.items():
                 value = shot.inputs[name].value if name in shot.inputs else signal.initial

@@ -172,9 +172,7 @@ class ContinuousControls(Bridge):
         path.us = self.held(path.ts, path.us, path.xs)
 
     def at_rest(self, controls: dict[str, Any]) -> dict[str, Any]:
-        """Piecewise constant controls for which linear controls are constant and splines continue with their
-        derivatives.
-        """
+        """The controls with zeros for the piecewise constant derivatives of linear controls and splines."""
         return {name: 0.0 * values if name in self.rates else values for name, values in controls.items()}
 
 
