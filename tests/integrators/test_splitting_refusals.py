@@ -81,7 +81,7 @@ def test_an_inertia_that_is_a_parameter_of_the_system_and_given_as_numbers() -> 
 def test_another_parameter_of_equal_value() -> None:
     K = tx.Parameter("K", value=TENSOR)
     rates = turning(inertia=J, torque=K[0, 0])
-    assert "parameters of the system that its argument inertia does not contain" in refused(rates, tx.FreeBody(R, w, inertia=K))
+    assert "its argument inertia does not contain" in refused(rates, tx.FreeBody(R, w, inertia=K))
 
 
 @pytest.mark.parametrize(

@@ -121,7 +121,7 @@ def test_inputs_units_and_what_a_call_refuses() -> None:
         ("8, 4, <", "8, 1_0 <", "line {line}, <dataTable>: expected finite numbers, got '1_0'"),
         ("8, 4, <", "8, &#1636; <", "line {line}, <dataTable>: expected finite numbers, got '\u0664'"),
         ('gtID="T"/></functionDefn>', 'gtID="S"/></functionDefn>', "line {line}, <griddedTableRef>: gtID 'S' is"),
-        ('bpID="E"><bpVals', 'bpID="A"><bpVals', "line {line}, <breakpointDef>: bpID 'A' is already defined in line 40"),
+        ('bpID="E"><bpVals', 'bpID="A"><bpVals', "line {line}, <breakpointDef>: bpID 'A' is already .* line 40"),
         ('varID="ceil">1', 'varID="floor">1', "line {line}, <function.*varID 'floor' has another"),
         ('varID="mach" interpolate="floor"', 'varID="steps" interpolate="floor"', "depends on itself"),
         ('interpolate="floor"', 'interpolate="cubicSpline"', "line {line}, <independentVarPts>: .*cubicSpline"),

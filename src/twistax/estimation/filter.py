@@ -115,9 +115,7 @@ class Filter(ABC):
         return P
 
     def multiplied(self, factor: jax.Array) -> jax.Array:
-        """The covariance of a factor, the form of the covariance in `propagated` and `corrected`. Here they are the
-        same.
-        """
+        """The covariance from `factor`. They are equal, except in filters with a square root of the covariance."""
         return factor
 
     @functools.cached_property
