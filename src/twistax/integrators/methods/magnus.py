@@ -50,9 +50,9 @@ _EXPANSIONS = {4: (2, _fourth, RK4), 6: (3, _sixth, DOP853)}
 class Magnus(Method):
     """The Magnus method of order 4 or 6, exact for constant velocities, with one exponential a step.
 
-    It requires that no rate depends on a rotation or a pose: attitude from measured rates, prescribed twists, free
-    bodies. Rates may depend on time, controls, parameters and states without a group, which an explicit Runge-Kutta
-    method integrates from one Gauss node to the next. A step that rotates by more than a full turn fails.
+    It requires that no rate depends on a rotation or a pose. Examples are attitude from measured rates, prescribed
+    twists and free bodies. Rates may depend on time, controls, parameters and states without a group, which an explicit
+    Runge-Kutta method integrates from one Gauss node to the next. A step that rotates by more than a full turn fails.
 
     Attributes:
         order: 4 or 6.

@@ -40,8 +40,9 @@ class MultipleShooting:
 
     @property
     def scheme(self) -> Scheme:
-        """The method in the form of the solver's core. The running cost is integrated by Simpson's rule at the ends of
-        substeps.
+        """The tableau and weights that the solver's core uses.
+
+        The running cost is integrated by Simpson's rule at the ends of substeps.
         """
         a, c = self.method.tableau.counted
         square = np.zeros((len(c), len(c)))
@@ -93,8 +94,9 @@ class Collocation:
 
     @property
     def scheme(self) -> Scheme:
-        """The method in the form of the solver's core. The running cost is integrated with the
-        weights of the tableau.
+        """The tableau and weights that the solver's core uses.
+
+        The running cost is integrated with the weights of the tableau.
         """
         a, b, c = self.tableau.a, self.tableau.b, self.tableau.c
         weights = np.concatenate([np.zeros(self.substeps + 1), np.tile(b / self.substeps, self.substeps)])
