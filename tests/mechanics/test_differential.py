@@ -245,7 +245,7 @@ def test_what_cannot_be_asked_for(unchecked: None) -> None:
         (lambda: controller(x, {}, qd=rest), "expects targets for 'flange_pose'"),
         (lambda: controller(x, {"hand": T}, qd=rest), "no target 'hand'"),
         (lambda: controller({}, {"flange_pose": T}, qd=rest), "x expects 'q'"),
-        (lambda: controller(x, {"flange_pose": T}), "expects qd"),
+        (lambda: controller(x, {"flange_pose": T}), "velocities qd"),
         (lambda: controller.to_c("none"), "expects states and targets"),
     ]
     for call, message in wrong:

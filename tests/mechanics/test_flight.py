@@ -309,7 +309,7 @@ def test_what_is_refused(unchecked: None) -> None:
             ModelError,
             "wind to be a function of .*\n  fix: for a constant wind use flight.Steady",
         ),
-        (lambda: flight.Planet(earth.WGS84, 9.81), ModelError, "gravity to be of Gravity, got 9.81"),
+        (lambda: flight.Planet(earth.WGS84, 9.81), ModelError, "gravity to be an instance of Gravity, got 9.81"),
         (lambda: craft.system(2.0), ModelError, "body to be of SpatialInertia, got 2.0"),
         (lambda: craft.system(BALL, np.zeros(3)), ShapeError, r"wrench with shape \(6,\), got \(3,\)"),
         (lambda: flight.Steady((1.0, 2.0)), InputError, r"Steady: velocity expects finite numbers of shape \(3,\)"),

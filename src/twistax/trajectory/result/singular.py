@@ -74,7 +74,7 @@ def _shown(value: Any) -> str:
 def _remedy(problem: StatedPhase, k: int) -> str:
     if k == 0 and not isinstance(problem.transcription, Collocation):
         return (
-            "A start may be singular by transcription=Collocation(tx.tableaus.RADAU_IIA5), which never evaluates it, "
-            "from a guess that leaves it"
+            "For a singular start use transcription=Collocation(tx.tableaus.RADAU_IIA5), which does not evaluate the "
+            "start, and a guess that moves away from it"
         )
-    return "Guess states and controls after it where it is finite, or ask for a start and an end where it is"
+    return "Guess states and controls for which it is finite after this node, or choose end states where it is finite"
