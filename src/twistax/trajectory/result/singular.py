@@ -77,4 +77,7 @@ def _remedy(problem: StatedPhase, k: int) -> str:
             "For a singular start use transcription=Collocation(tx.tableaus.RADAU_IIA5), which does not evaluate the "
             "start, and a guess that moves away from it"
         )
-    return "Guess states and controls for which it is finite after this node, or choose end states where it is finite"
+    return (
+        "Guess states and controls for which it is finite after this node, or choose start and end states where it is "
+        "finite"
+    )
