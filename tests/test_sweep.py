@@ -142,9 +142,9 @@ def test_what_is_not_finite_hides_no_other_function(tmp_path: Path) -> None:
 
 def test_a_directory_of_another_sweep_is_refused(tmp_path: Path) -> None:
     tx.sweep(run, MEMBERS, chunk=8, directory=tmp_path)
-    with pytest.raises(tx.InputError, match="holds another sweep: chunk 8 there, 4 here"):
+    with pytest.raises(tx.InputError, match="contains another sweep: chunk 8 there, 4 here"):
         tx.sweep(run, MEMBERS, chunk=4, directory=tmp_path)
-    with pytest.raises(tx.InputError, match="holds another sweep: members"):
+    with pytest.raises(tx.InputError, match="contains another sweep: members"):
         tx.sweep(run, {**MEMBERS, "gain": MEMBERS["gain"] + 1}, chunk=8, directory=tmp_path)
     with pytest.raises(tx.InputError, match="another function: chunk 0"):
         tx.sweep(lambda m: {**run(m), "sum": m["gain"]}, MEMBERS, chunk=8, directory=tmp_path)
@@ -225,14 +225,14 @@ def test_two_processes(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("message", "own"),
     [
-        ("count beside a function", {"members": draw}),
-        ("arrays of 29 members, and count is 3", {"count": 3}),
+        ("a count if members is a function", {"members": draw}),
+        ("arrays of 29 members, but count is 3", {"count": 3}),
         ("one length of the leading axis", {"members": {"a": np.zeros(2), "b": np.zeros(3)}}),
         ("sweep: chunk must be a whole number of 1 or more, got 0", {"chunk": 0}),
         ("sweep: count must be a whole number of 1 or more, got 2.5", {"members": draw, "count": 2.5}),
         (r"sweep expects a function of \(member\), got 3", {"run": 3}),
-        (r"members expects a function of \(key\), got one of", {"members": lambda: 1, "count": 2}),
-        ("gives nothing", {"run": lambda member: None}),
+        (r"members expects a function of \(key\), got one with the arguments", {"members": lambda: 1, "count": 2}),
+        ("returns nothing", {"run": lambda member: None}),
         ("the same member for every key", {"members": lambda key: {"x": np.ones(3), "gain": 1.0}, "count": 3}),
         ("real numbers, got complex128", {"run": lambda member: jax.lax.complex(member["x"], member["x"])}),
         ("seed must be less than 2", {"members": draw, "count": 2, "seed": 2**32}),

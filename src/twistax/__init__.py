@@ -10,7 +10,7 @@
     dynamics = tx.compile(body)
     rate = dynamics(0.0, x, u)
 
-Importing changes no global state: precision follows the arrays given, and x64 is yours to switch on.
+Importing changes no global state: precision follows the arrays, and JAX's x64 mode is not changed.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The command line: `python -m twistax demo`, `report`, `examples`, and what is installed, `--version`."""
+"""The command line: `python -m twistax demo`, `report`, `examples`, and `--version`, which lists what is installed."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ EXTRAS = {
 
 
 class OneLineParser(argparse.ArgumentParser):
-    """A parser whose errors are one line and exit status 2. Options are written in full."""
+    """An argument parser whose errors are one line with exit status 2. Options cannot be abbreviated."""
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options | {"allow_abbrev": False})
@@ -50,7 +50,7 @@ class OneLineParser(argparse.ArgumentParser):
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a sub-command; returns the exit status. Switches x64 on for this process once the arguments are read."""
+    """Run a sub-command; returns the exit status. Enables x64 for this process after the arguments are parsed."""
     parser = OneLineParser(
         prog="twistax",
         description="Dynamics of rigid bodies and mechanisms, written as expressions, compiled to JAX.",

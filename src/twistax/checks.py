@@ -1,6 +1,6 @@
-"""What may come in: one rule for the numbers, names and functions that users give, and the words that refuse others.
+"""Checks of numbers, names and functions that users pass, with common messages.
 
-Every value that is declared, baked, guessed, or given to a call passes here.
+Every value that is declared, passed to a call, used as a guess, or made a constant by `bake` is checked here.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from .errors import InputError, TwistaxError
 
 
 def reals(place: str, value: Any, error: type[Exception], free: bool = False) -> np.ndarray:
-    """A value as an array of real numbers: float64, or bool where all entries are truth values.
+    """A value as an array of real numbers: float64, or bool if all entries are booleans.
 
-    Integers, floats of any precision and truth values may come, as Python's, NumPy's or JAX's, alone or in nested
-    lists. What is no real number is refused: text, complex numbers, None, objects, masked entries.
+    Accepted are integers, floats of any precision and booleans of Python, NumPy or JAX, alone or in nested lists. Other
+    objects raise an error: text, complex numbers, None, masked entries.
 
     Args:
-        place: names the value in messages.
-        error: raised where it is refused.
-        free: None stands for an entry that is left open, and becomes NaN.
+        place: the name of the value in messages.
+        error: the class of the error.
+        free: whether None is accepted for a free entry; it becomes NaN.
     """
     _need_unmasked(place, value, error)
     try:
@@ -93,7 +93,7 @@ def _masked(value: Any) -> bool:
 
 
 def real_array(place: str, value: Any, error: type[Exception] = InputError) -> jax.Array | np.ndarray:
-    """The same, where arrays of JAX and traced values stay what they are, alone or in lists."""
+    """As `reals`, but arrays of JAX and traced values are not converted, alone or in lists."""
     from .jax_inside import is_traced  # not at import: it loads much of JAX that `import jax` does not
 
     _need_unmasked(place, value, error)
@@ -115,7 +115,9 @@ def number(
     holds: Callable[[float], Any] = np.isfinite,
     error: type[Exception] = InputError,
 ) -> Any:
-    """The value itself if it is one real number of which something holds, in words `what`; traced ones pass."""
+    """The value itself if it is one real number that satisfies a condition, which `what` describes; traced ones
+    pass.
+    """
     from .jax_inside import is_traced
 
     if is_traced(value) and np.shape(value) == ():
@@ -134,20 +136,20 @@ def number(
 
 
 def instance(place: str, value: Any, kind: Any, like: str, error: type[Exception]) -> None:
-    """Raise the error unless the value is of a kind, in words `like`."""
+    """Raise the error unless the value is an instance of a class, which `like` describes."""
     if not isinstance(value, kind):
         raise error(f"{place} expects {like}, got {short(value)}")
 
 
 def whole(place: str, value: Any, least: int = 1, error: type[Exception] = InputError) -> int:
-    """The value if it is a whole number, not less than the least."""
+    """The value if it is a whole number that is at least `least`."""
     if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
         raise error(f"{place} must be a whole number of {least} or more, got {short(value)}")
     return int(value)
 
 
 def name_list(place: str, value: Any, error: type[Exception] = InputError) -> tuple[str, ...]:
-    """Names, or one, as a tuple, each once. Raises the error for something else."""
+    """Names, or one name, as a tuple without repetitions. Raises the error for other objects."""
     names = [value] if isinstance(value, str) else list(value) if isinstance(value, Iterable) else [None]
     if not all(isinstance(name, str) for name in names):
         raise error(f"{place} expects names, got {short(value)}")
@@ -155,12 +157,12 @@ def name_list(place: str, value: Any, error: type[Exception] = InputError) -> tu
 
 
 def callable_with(place: str, function: Any, arguments: Sequence[str], error: type[Exception]) -> None:
-    """Raise the error unless the value can be called with so many arguments."""
+    """Raise the error unless the value can be called with this number of arguments."""
     wanted = f"{place} expects a function of ({', '.join(arguments)})"
     if not callable(function):
         raise error(f"{wanted}, got {short(function)}")
     if isinstance(function, type):
-        raise error(f"{wanted}, got the class {function.__name__}.\n  fix: {function.__name__}(...), an object of it")
+        raise error(f"{wanted}, got the class {function.__name__}.\n  fix: pass an instance, {function.__name__}(...)")
     try:
         signature = inspect.signature(function)
     except (TypeError, ValueError):  # some of what is compiled has none
@@ -168,7 +170,7 @@ def callable_with(place: str, function: Any, arguments: Sequence[str], error: ty
     try:
         signature.bind(*arguments)
     except TypeError:
-        raise error(f"{wanted}, got one of {signature}") from None
+        raise error(f"{wanted}, got one with the arguments {signature}") from None
 
 
 P = ParamSpec("P")
@@ -178,11 +180,11 @@ R = TypeVar("R")
 def known_arguments(
     place: str, error: type[Exception], elsewhere: Mapping[str, Callable[[], Callable[..., Any]]]
 ) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """A decorator that raises the error, in place of a TypeError, where an argument has an unknown name.
+    """A decorator that raises the error, in place of a TypeError, for an argument with an unknown name.
 
     Args:
-        elsewhere: what else may have an argument of that name, such as "tx.trajectory.Problem", and a function that
-            gives it.
+        elsewhere: other functions that may have an argument with that name, such as "tx.trajectory.Problem", each with
+            a function that returns it.
     """
 
     def decorated(function: Callable[P, R]) -> Callable[P, R]:
@@ -195,7 +197,7 @@ def known_arguments(
                     homes = [at for at, of in elsewhere.items() if name in inspect.signature(of()).parameters]
                     fix = f".\n  fix: {homes[0]}(..., {name}=...)" if homes else ""
                     expected = ", ".join(known) if fix else listed(known, name)
-                    raise error(f"{place} has no argument {name!r}; it takes: {expected}{fix}")
+                    raise error(f"{place} has no argument {name!r}; its arguments are: {expected}{fix}")
             return function(*args, **kwargs)
 
         return checked
@@ -204,21 +206,21 @@ def known_arguments(
 
 
 def path_of(place: str, value: Any) -> Path:
-    """A path, from a `Path` or a string. Raises InputError."""
+    """A path, from a `Path` or a string. Raises InputError for other objects."""
     if not isinstance(value, (str, os.PathLike)):
         raise InputError(f"{place} expects a path, got {short(value)}")
     return Path(value)
 
 
 def listed(names: Iterable[Any], name: Any = None) -> str:
-    """Names for a message, in quotes, and which of them is near to one that is not among them."""
+    """Names for a message, in quotes, with a suggestion for a name that is not among them."""
     known = list(names)
     near = difflib.get_close_matches(name, [n for n in known if isinstance(n, str)], 1) if isinstance(name, str) else []
     return (", ".join(map(repr, known)) or "none") + (f".\n  fix: did you mean {near[0]!r}?" if near else "")
 
 
 def short(value: Any) -> str:
-    """A value in a message, with its type where that is not plain to see."""
+    """A value in a message, with its type if that is not evident."""
     text = repr(value)
     text = text if len(text) <= 100 else f"{text[:100]} ..."
     plain = value is None or isinstance(value, (bool, int, float, complex, str, list, tuple))

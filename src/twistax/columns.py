@@ -1,4 +1,4 @@
-"""Tables of solutions: which columns, with which units, and how rotations are written."""
+"""Tables of solutions: their columns, units, and the representation of rotations."""
 
 from .groups.columns import Column, Layout
 from .integrators.results.table_export import EULER, MATRIX, QUATERNION, Columns, Rotations

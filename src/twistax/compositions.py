@@ -1,4 +1,6 @@
-"""Symmetric compositions for `tx.Splitting`: `tx.compositions.KAHAN_LI8` and others; your own is a `Composition`."""
+"""Symmetric compositions for `tx.Splitting`: `tx.compositions.KAHAN_LI8` and others; a custom one is a
+`Composition`.
+"""
 
 from .integrators.splitting.compositions import *  # noqa: F403
 from .integrators.splitting.compositions import __all__ as _compositions

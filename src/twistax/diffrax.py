@@ -1,4 +1,4 @@
-"""Inside diffrax: Lie-group steps in its loops, and systems as plain ODEs for its solvers.
+"""Integration by diffrax: Lie-group steps in its loops, and systems as plain ODEs for its solvers.
 
 term, solver = tx.diffrax.lie_term(dynamics), tx.diffrax.LieSolver(diffrax.Tsit5(), dynamics)
 term = tx.diffrax.ambient_term(dynamics)  # quaternions as plain numbers, for any solver
@@ -20,7 +20,7 @@ __all__ = ["AmbientTerm", "LieController", "LieSolver", "LieTerm", "ambient_term
 
 
 class AmbientTerm(diffrax.ODETerm):
-    """A `diffrax.ODETerm` that converts states to arrays of numbers and back."""
+    """A `diffrax.ODETerm` with conversions of states to arrays of numbers and back."""
 
     ambient: AmbientSystem = eqx.field(static=True)
 
@@ -29,16 +29,16 @@ class AmbientTerm(diffrax.ODETerm):
         self.vector_field = ambient.vector_field
 
     def to_ambient(self, x: Mapping[str, Any]) -> Arrays:
-        """The y0 of a state. Raises InputError as a call of the dynamics does."""
+        """The y0 of a state. Raises the errors of a call of the dynamics."""
         return self.ambient.to_ambient(x)
 
     def from_ambient(self, y: Mapping[str, Any]) -> Arrays:
-        """The state of one y. For saved times use jax.vmap."""
+        """The state of one y. Use jax.vmap for saved times."""
         return self.ambient.from_ambient(y)
 
 
 def ambient_term(dynamics: Dynamics, quaternion: bool = True) -> AmbientTerm:
-    """The system as a plain ODE $y' = f(t, y, args)$ with args = (u, params), as `tx.integrate` takes them, or None.
+    """The system as a plain ODE $y' = f(t, y, args)$ with args = (u, params), in the form of `tx.integrate`, or None.
 
         term = tx.diffrax.ambient_term(dynamics)
         sol = diffrax.diffeqsolve(term, diffrax.Dopri8(), 0.0, 10.0, 0.01, term.to_ambient(x0), args=(u, params))
@@ -48,6 +48,6 @@ def ambient_term(dynamics: Dynamics, quaternion: bool = True) -> AmbientTerm:
     quaternion=False both are matrices, which drift from the group by the solver's error. Other states are unchanged.
 
     Raises:
-        ModelError: a state on a group without such numbers.
+        ModelError: a state on a group that has no such representation.
     """
     return AmbientTerm(AmbientSystem(dynamics, quaternion))

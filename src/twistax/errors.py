@@ -1,4 +1,6 @@
-"""The exceptions users meet. Each message says what is wrong, what was expected, what came and how to mend it."""
+"""The exceptions of this package. Each message states what is wrong, what was expected, what was passed and how to mend
+it.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,7 @@ _EVERYWHERE = (
 
 
 class TwistaxError(Exception):
-    """Base class of the errors of this package. A traceback ends with the page that explains the error."""
+    """Base class of the errors of this package. A traceback ends with the documentation page for the error."""
 
     #: That page. It is a note and no part of the message.
     page: ClassVar[str] = "docs/reference/errors.md"
@@ -65,8 +67,8 @@ def _page_of_caller() -> str | None:
 
 
 class ShapeError(TwistaxError, ValueError):
-    """Shapes do not match. The first line states the mismatch. `at` adds the place in the expression tree, `hint` a
-    remedy.
+    """Shapes do not match. The first line of the message states the mismatch. `at` adds the place in the expression
+    tree, `hint` a remedy.
     """
 
     page = "docs/writing_a_system.md#expressions"
@@ -84,7 +86,7 @@ class ShapeError(TwistaxError, ValueError):
         super().__init__("\n".join(lines))
 
     def located(self, at: str) -> ShapeError:
-        """The same error with its place in the tree filled in."""
+        """The same error with its place in the tree."""
         return ShapeError(self.sentence, at=at, hint=self.hint)
 
 
@@ -117,7 +119,7 @@ class InputError(TwistaxError, ValueError):
 
 
 class ImmutableError(TwistaxError, AttributeError):
-    """An assignment to a node. Nodes are immutable; `replace` makes a changed copy."""
+    """An assignment to a node. Nodes are immutable; `replace` returns a changed copy."""
 
     page = "docs/writing_a_system.md"
 
@@ -141,7 +143,7 @@ class TrajectoryError(TwistaxError, RuntimeError):
 
 
 class EstimationError(TwistaxError, RuntimeError):
-    """A covariance of a filter is not positive semidefinite, or its numbers are not finite. The message has the
+    """A covariance of a filter is not positive semidefinite, or its numbers are not finite. The message contains the
     time.
     """
 
@@ -150,7 +152,7 @@ class EstimationError(TwistaxError, RuntimeError):
 
 @contextlib.contextmanager
 def in_phase(name: str) -> Iterator[None]:
-    """Errors with the phase's name in front."""
+    """Errors with the name of the phase as prefix."""
     try:
         yield
     except TwistaxError as error:

@@ -1,4 +1,4 @@
-"""`tx.kinds`: what a leaf may say of itself, and the rules by which nodes hand it on."""
+"""`tx.kinds`: the kinds that a leaf may declare, and the rules by which nodes propagate them."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""Pictures of values over time, by matplotlib, the extra `plot`, which is imported when something is drawn."""
+"""Plots of values over time, by matplotlib (extra `plot`), which is imported when something is drawn."""
 
 from __future__ import annotations
 
@@ -34,16 +34,16 @@ Labels: TypeAlias = Mapping[str, Sequence[tuple[str, str]]]
 
 
 class Panel(NamedTuple):
-    """One pair of axes.
+    """One pair of axes of a plot.
 
     Attributes:
-        title: what it shows; `unit` is that of its values.
-        names: of the curves, one a column.
-        curve: times (n,) and values (n, k), drawn as lines; None for none.
+        title, unit: its title, and the unit of its values.
+        names: the names of the curves, one for each column.
+        curve: times (n,) and values (n, k), drawn as lines; None for no curve.
         marks: times and values drawn as dots.
-        steps: the values hold until the next time.
+        steps: whether values are constant until the next time.
         limits: bounds of the values.
-        columns, factor: which entries of a leaf these are, and what they were multiplied by; None for all.
+        columns, factor: the entries of a leaf that it shows, None for all; and the factor of a unit conversion.
     """
 
     title: str
@@ -64,11 +64,11 @@ def panels(
     unit: str = "",
     labels: Sequence[tuple[str, str]] = (),
 ) -> list[Panel]:
-    """The panels of a leaf, from pieces of times (n,) and values (n, *shape) that follow each other.
+    """The panels of a leaf, from consecutive pieces of times (n,) and values (n, *shape).
 
     A pose becomes its position and its Euler angles, a rotation its Euler angles, in degrees and without jumps. Entries
-    with labels, pairs of name and unit, become a panel for each unit; `unit` converts those that it can. A unit such as
-    "m/s, rad/s" has one unit for each half of the entries.
+    with labels, pairs of name and unit, become a panel for each unit; `unit` converts units that it supports. A unit
+    such as "m/s, rad/s" has one unit for each half of the entries.
     """
     pieces = [(np.asarray(ts), np.asarray(values)) for ts, values in pieces]
     units, size = unit.split(", "), pieces[0][1][0].size if pieces and len(pieces[0][1]) else 0
@@ -123,7 +123,7 @@ def _joined(pieces: Sequence[tuple[Array, Array]]) -> tuple[Array, Array] | None
 
 
 def group_of(value: Array) -> Group | None:
-    """SE3 or SO3 where all values are poses or rotations."""
+    """SE3 or SO3 if all values are poses or rotations."""
     value = np.asarray(value)
     for group in (SE3, SO3):
         if value.shape[1:] == group.shape:
@@ -140,10 +140,10 @@ def _angles(values: Array) -> Array:
 
 
 def chosen(names: Sequence[Any], there: Iterable[str], units: Mapping[str, str] | None) -> list[str]:
-    """The names that a plot was called with: strings or leaves, or one sequence of them; empty for all.
+    """The names that were passed to a plot: strings or leaves, or one sequence of them; empty for all.
 
     Raises:
-        InputError: one that is not there.
+        InputError: an unknown name.
     """
     several = (
         names[0] if len(names) == 1 and isinstance(names[0], Sequence) and not isinstance(names[0], str) else names
@@ -157,14 +157,14 @@ def chosen(names: Sequence[Any], there: Iterable[str], units: Mapping[str, str] 
 
 
 class Pictured(NamedTuple):
-    """What a plot may show: values over time by name, and names and units of their entries.
+    """The quantities that a plot may show: values over time by name, and names and units of their entries.
 
     Attributes:
-        shown: the names of leaves that are drawn where none is named.
+        shown: the names of the leaves that are drawn by default.
         more: the names of outputs.
-        pieces: from a name to its pieces of times and values.
-        labels: by name of a leaf, pairs of name and unit; the name of a joint draws all entries that have it.
-        units: what the user asks for, by name.
+        pieces: a function from a name to its pieces of times and values.
+        labels: by name of a leaf, pairs of name and unit; the name of a joint draws all entries with that name.
+        units: the units that the user requests, by name.
     """
 
     shown: Sequence[str]
@@ -174,7 +174,7 @@ class Pictured(NamedTuple):
     units: Mapping[str, str] | None
 
     def panels(self, names: Sequence[Any]) -> list[Panel]:
-        """The panels of the names that a plot was called with. Raises InputError for one that is not there."""
+        """The panels of the names that were passed to a plot. Raises InputError for an unknown one."""
         joints = joints_of(self.labels, self.shown)
         wanted = chosen(names, [*self.shown, *self.more, *joints], self.units) or list(self.shown)
         return [panel for name in wanted for panel in self._of(name, joints.get(name))]
@@ -194,7 +194,7 @@ class Pictured(NamedTuple):
 
 
 def joints_of(labels: Labels, leaves: Iterable[str]) -> dict[str, dict[str, list[int]]]:
-    """Of each joint that labels name the entries by leaf; a joint of several freedoms is one."""
+    """For each joint in the labels, its entries by leaf; a joint with several degrees of freedom counts as one."""
     joints: dict[str, dict[str, list[int]]] = {}
     for leaf in leaves:
         for column, (label, _) in enumerate(labels.get(leaf, ())):
@@ -207,7 +207,7 @@ def joints_of(labels: Labels, leaves: Iterable[str]) -> dict[str, dict[str, list
 def draw(
     panels: Sequence[Panel], title: str = "", bars: Mapping[str, float] | None = None, over: str = "time, s"
 ) -> Any:
-    """A matplotlib figure of the panels over time, two in a row, and of bars by name in a last one.
+    """A matplotlib figure of the panels over time, two in a row, and of bars by name in the last panel.
 
     Args:
         over: the label of the horizontal axis.

@@ -1,6 +1,6 @@
-"""Progress messages of everything that may take long, through the logger "twistax".
+"""Progress messages of calls that may take long, through the logger "twistax".
 
-Where logging is set up for that logger at level INFO, messages are its records. Elsewhere they are lines on standard
+If logging is configured for that logger at level INFO, messages are log records. Otherwise they are lines on standard
 error. `logging.getLogger("twistax").setLevel(logging.WARNING)` switches them off.
 """
 
@@ -34,18 +34,17 @@ class Progress:
     """Progress lines of a call: `problem.solve(progress=tx.trajectory.Progress(cost="mass {:.0f} kg"))`.
 
     A solve prints a line for each iteration: its cost, the largest violation and the largest relative change of an
-    unknown. An integration and a sweep overwrite one line. Without a terminal a line is printed every
-    five seconds.
-    Within `with progress:` a line with the elapsed seconds appears after some time without other output. It is
-    also a callback of `Problem.solve`, and its method `reached` is one of `tx.integrate`.
+    unknown. An integration and a sweep overwrite one line. Without a terminal a line is printed every five seconds.
+    Within `with progress:` a line with the elapsed seconds appears after some time without other output. It is also a
+    callback of `Problem.solve`, and its method `reached` is a callback of `tx.integrate`.
 
     Args:
         what: the first word of the line.
         cost: a format of the cost, such as "mass {:.0f} kg".
         stream: the output stream; standard error by default.
-        shown: True: from the beginning. None: after two seconds, on a terminal only. False: never.
+        shown: True: lines appear from the start. None: after two seconds, on a terminal only. False: never.
     Raises:
-        TrajectoryError: cost is not a format of one number.
+        TrajectoryError: `cost` is not a format of one number.
     """
 
     def __init__(
@@ -91,13 +90,15 @@ class Progress:
                 self._write(f"took {time.perf_counter() - self._begin:.1f} s", live=False)
 
     def reached(self, t: float, share: float) -> None:
-        """Show the time an integration reached in s, and the completed fraction."""
+        """Show the time that an integration has reached, in s, and the completed fraction."""
         self._show(lambda: f"t {t:12.6g} s   {100.0 * share:5.1f} %")
         if share >= 1.0:
             self.close()
 
     def done(self, share: float, what: str, before: float = 0.0) -> None:
-        """Show a bar and the remaining seconds: the completed fraction, and the part of it from an earlier run."""
+        """Show a bar and the remaining seconds, from the completed fraction and the part of it that an earlier run
+        completed.
+        """
         took = time.perf_counter() - self._begin
         left = f", {took * (1.0 - share) / (share - before):.0f} s left" if share > before else ""
         self._show(lambda: f"[{'=' * round(_WIDTH * share):<{_WIDTH}}] {share:4.0%} of {what}{left}")
@@ -142,9 +143,9 @@ class Progress:
 
 
 def watched(what: str, progress: bool | None = None) -> Progress | contextlib.nullcontext[None]:
-    """A context whose seconds are shown while it lasts; `progress` is the argument of a public call.
+    """A context that shows elapsed seconds; `progress` is the argument of a public call.
 
-    It costs nothing where no line can appear.
+    It has no cost if no line can appear.
     """
     if progress is False or not (progress or sys.stderr.isatty() or LOGGER.isEnabledFor(logging.INFO)):
         return contextlib.nullcontext()
@@ -153,7 +154,7 @@ def watched(what: str, progress: bool | None = None) -> Progress | contextlib.nu
 
 
 def watching(what: str) -> Callable[[Callable[P, T]], Callable[P, T]]:
-    """A decorator of functions whose first call may take long: imports, and programs that are compiled."""
+    """A decorator of functions whose first call may take long because of imports or compilation."""
 
     def decorate(function: Callable[P, T]) -> Callable[P, T]:
         @functools.wraps(function)
@@ -199,7 +200,7 @@ _SAID: set[str] = set()
 
 
 def say_once(message: str) -> None:
-    """A RuntimeWarning, once for a process; again and again where a filter of warnings makes it an error."""
+    """Issue a RuntimeWarning once per process; repeatedly if a warning filter turns it into an error."""
     if message not in _SAID:
         warnings.warn(message, RuntimeWarning, stacklevel=3)
         _SAID.add(message)

@@ -1,7 +1,7 @@
-"""Butcher tableaus: `tx.tableaus.RK4` and the others, `tx.tableaus.ALL`; make your own with `ButcherTableau`.
+"""Butcher tableaus: `tx.tableaus.RK4` and others, listed in `tx.tableaus.ALL`; a custom one is a `ButcherTableau`.
 
-`IMPLICIT` lists those of implicit methods, for `tx.ImplicitRKMK`; make your own with `CollocationTableau`.
-`CF4` is the commutator-free one, for `tx.CommutatorFree`; make your own with `CommutatorFreeTableau`.
+`IMPLICIT` lists those of implicit methods, for `tx.ImplicitRKMK`; a custom one is a `CollocationTableau`. `CF4` is a
+commutator-free tableau, for `tx.CommutatorFree`; a custom one is a `CommutatorFreeTableau`.
 """
 
 from .integrators.methods.commutator_free import CF4, CommutatorFreeTableau

@@ -1,4 +1,4 @@
-"""Units as numbers: `30_000 * units.feet` is the float 9144.0, which knows that it is a length.
+"""Units as numbers: `30_000 * units.feet` is the float 9144.0 with the unit m.
 
     from twistax import units
 
@@ -6,10 +6,12 @@
     inertia = 3.6 * units.slugs * units.feet**2                    # 4.8809 kg m2
     solution.outputs["altitude"] / units.feet                      # and back
 
-Everything in twistax is in m, kg, s, rad and K. A `Quantity` is a float in these units and goes wherever a float goes.
-Functions that expect a unit, such as `flight.start`, refuse another one, and take plain numbers as m, kg, s, rad and K.
+All quantities in twistax are in m, kg, s, rad and K. A `Quantity` is a float in these units and can be used like any
+float. Functions that expect a unit, such as `flight.start`, raise an error for another unit, and interpret plain
+numbers in m, kg, s, rad and K.
 
-The product of a unit with an array or an expression is one with its factor, whose unit is not checked.
+The product of a unit with an array or an expression is an array or expression multiplied by its factor, whose unit is
+not checked.
 
 Sources of the factors, all exact: the international yard and pound (1959), ISO 80000-3 for the nautical mile, standard
 gravity of the General Conference on Weights and Measures (1901).
@@ -41,7 +43,7 @@ _BASE = ("kg", "m", "s", "rad", "K")
 def _comparison(operation: Any) -> Any:
     def compared(self: Quantity, other: Any) -> Any:
         if isinstance(other, Quantity) and other.exponents != self.exponents:
-            raise OperationError(f"a comparison of {self!r} and {other!r} has no meaning: their units differ")
+            raise OperationError(f"{self!r} and {other!r} cannot be compared: their units differ")
         return operation(self, other)
 
     return compared
@@ -50,10 +52,10 @@ def _comparison(operation: Any) -> Any:
 class Quantity(float):
     """A float in kg, m, s, rad and K with the exponents of these units.
 
-    Products, quotients and whole powers are quantities; sums and differences are, if both have one unit. With a plain
-    number a sum is a plain number. A list or tuple of numbers times a unit is a list of quantities.
+    Products, quotients and whole powers are quantities; sums and differences are quantities if both units are equal. A
+    sum with a plain number is a plain number. A list or tuple of numbers times a unit is a list of quantities.
 
-    Raises: OperationError where a sum, a difference or a comparison by size mixes units, or a power is not whole.
+    Raises: OperationError if a sum, a difference or a comparison by size mixes units, or if a power is not whole.
     """
 
     exponents: tuple[int, ...]
@@ -93,7 +95,7 @@ class Quantity(float):
 
     def __pow__(self, power: Any, modulo: None = None) -> Any:
         if not isinstance(power, numbers.Integral):
-            raise OperationError(f"a power of {self!r} expects a whole exponent, got {short(power)}")
+            raise OperationError(f"a power of {self!r} expects a whole number as exponent, got {short(power)}")
         return Quantity(float(self) ** int(power), tuple(n * int(power) for n in self.exponents))
 
     def __add__(self, other: Any) -> Any:
@@ -124,7 +126,7 @@ class Quantity(float):
         if not isinstance(other, Quantity):
             return total
         if other.exponents != self.exponents:
-            raise OperationError(f"a sum of {self!r} and {other!r} has no meaning: their units differ")
+            raise OperationError(f"{self!r} and {other!r} cannot be added: their units differ")
         return Quantity(total, self.exponents)
 
 
@@ -137,19 +139,19 @@ def same_unit(place: str, value: Any, unit: Quantity) -> None:
             if entry is not value:  # a list that holds itself is refused as not numeric
                 same_unit(place, entry, unit)
     elif isinstance(value, Quantity) and value.exponents != unit.exponents:
-        raise InputError(f"{place} expects {unit.unit}, got {value!r}.\n  fix: give it in a unit of {unit.unit}")
+        raise InputError(f"{place} expects {unit.unit}, got {value!r}.\n  fix: pass it in a unit of {unit.unit}")
 
 
 def taken(place: str, value: Any, unit: Quantity, shape: tuple[int, ...] = ()) -> np.ndarray:
     """An argument of a public function, checked, as numbers in m, kg, s, rad and K.
 
     Args:
-        place: names the value in messages.
+        place: the name of the value in messages.
         value: a number or an array of them; quantities, alone or in lists, must have the unit.
         unit: the expected unit, such as `units.metres`.
-        shape: of the value.
+        shape: the expected shape.
     Raises:
-        InputError: another unit or shape, or a value that is not a finite real number.
+        InputError: a value with another unit or shape, or that is not a finite real number.
     """
     same_unit(place, value, unit)
     array = reals(place, value, InputError)

@@ -241,7 +241,7 @@ ROWS = [
         lambda: tx.lie.SO3Log(np.diag([1.0, 1.0, -1.0])),
         "SO3Log",
         "rotation",
-        "off by 2",
+        "an error of 2",
     ),
     bad("a logarithm of zeros", lambda: tx.lie.SE3Log(np.zeros((4, 4))), "SE3Log", "transform"),
     bad("a constant pose that is none", lambda: tx.lie.SE3Adjoint(2.0 * EYE), "SE3Adjoint", "transform"),

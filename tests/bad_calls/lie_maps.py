@@ -77,7 +77,13 @@ ROWS = [
         "quaternion",
         "euler",
     ),
-    bad("a sequence that stays", lambda: tx.pose(euler=[0.0, 0.0, 0.0], sequence="zzx"), "sequence", "twice", "'zzx'"),
+    bad(
+        "a sequence that stays",
+        lambda: tx.pose(euler=[0.0, 0.0, 0.0], sequence="zzx"),
+        "sequence",
+        "repetition",
+        "'zzx'",
+    ),
     bad("a sequence of both cases", lambda: tx.lie.euler(EYE, "zYx"), "sequence", "capital", "'zYx'"),
     bad("a sequence of an expression", lambda: tx.lie.euler(tx.State("R", (3, 3)), "zy"), "sequence", "'zy'"),
     bad(

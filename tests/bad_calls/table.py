@@ -14,6 +14,7 @@ import twistax as tx
 #: What a message says of what was expected, or of how to mend it.
 MENDS = re.compile(
     r"fix:|expect|must|need|give|known|has:|are:|takes?\b|choose from|--help|reads|requires|knows|too many|missing a"
+    r"|\bpass\b|accepts"
 )
 #: What a ShapeError says.
 SHAPES = re.compile(r"^(\S+ expects [^\n]* with shape|'\w+': \w+ expects shape) \([^\n]*\), got \(")

@@ -43,7 +43,7 @@ NONSENSE = {
     "--initial velocity=1e300:0:0": "no entry may exceed 1e6",
     "--initial tilt=200": "tilt must be from 0 to 180 degrees, got 200",
     "--initial axis=0:0:0": "axis must not be zero",
-    "--initial tilt=1,tilt=2": "tilt is given twice",
+    "--initial tilt=1,tilt=2": "tilt occurs twice",
     "--guess-seed -1": "expects a whole number from 0",
     "--guess-seed x": "expects a whole number from 0",
     "--nodes 3": "expects a whole number from 5 to 200, got '3'",

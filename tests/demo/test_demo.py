@@ -38,7 +38,7 @@ def test_a_start_without_a_landing_is_said_and_saved(
     said = capsys.readouterr().out
     assert status == 1, said
     assert "No landing was found from this start; the best try was saved." in said
-    assert "off the pad" in said.split("What is wrong with it:")[1]
+    assert "off the pad" in said.split("It violates:")[1]
     assert "pip install 'twistax[plot]'" in said
     # The animation is written where viser is installed.
     assert {path.name for path in tmp_path.iterdir()} - {"best_try.html"} == {"best_try.csv"}

@@ -95,7 +95,7 @@ def test_the_trapezoidal_rule_tends_to_the_integral() -> None:
 @pytest.mark.parametrize(
     ("kalman", "message"),
     [
-        (lambda: ErrorStateKalman(SATELLITE, []), "no scalar form.\n  fix: ErrorStateKalman"),
+        (lambda: ErrorStateKalman(SATELLITE, []), "no scalar form.\n  fix: use ErrorStateKalman"),
         (lambda: SquareRootKalman(SATELLITE, []), "QR"),
         (
             lambda: ErrorStateKalman(
@@ -103,7 +103,7 @@ def test_the_trapezoidal_rule_tends_to_the_integral() -> None:
                 [tx.Measurement(name, q.T @ FIELD, covariance=1.0) for name in ("a b", "a_b")],
                 noise=Trapezoidal(),
             ),
-            "would be called update_a_b in C",
+            "would have the name update_a_b in C",
         ),
     ],
 )

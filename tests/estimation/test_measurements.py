@@ -53,7 +53,7 @@ INDEFINITE = np.array([[1.0, 2.0, 0.0], [2.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
 @pytest.mark.parametrize(
     ("options", "error", "message"),
     [
-        ({}, tx.ModelError, "covariance=..., or a tx.Noise"),
+        ({}, tx.ModelError, "pass covariance=..., or use a tx.Noise"),
         ({"covariance": 0.0}, tx.ModelError, "positive definite"),
         ({"covariance": INDEFINITE}, tx.ModelError, "positive definite"),
         ({"covariance": tx.Parameter("R", value=INDEFINITE)}, tx.ModelError, "positive definite"),
@@ -90,7 +90,7 @@ def test_noise_in_a_measurement_needs_a_period() -> None:
         ([tx.Measurement("a", tx.State("y"), covariance=1.0)], "reads the state 'y'; the system has: 'g', 'v'"),
         ([tx.Measurement("a", tx.Control("y"), covariance=1.0)], "reads the control 'y'"),
         ([tx.Measurement("a", v + w, covariance=1.0, period=1.0)], "in rates and in a measurement"),
-        ([3], "expects measurements"),
+        ([3], r"expects tx\.Measurement"),
     ],
 )
 @pytest.mark.usefixtures("unchecked")

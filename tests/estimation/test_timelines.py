@@ -84,5 +84,5 @@ def test_noise_without_density_is_no_covariance() -> None:
 
 
 def test_no_measurements_are_refused(unchecked: None) -> None:
-    with pytest.raises(tx.ModelError, match="a filter expects measurements"):
+    with pytest.raises(tx.ModelError, match="a filter expects a list"):
         ErrorStateKalman(INTEGRATOR, None)  # type: ignore[arg-type]

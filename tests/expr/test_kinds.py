@@ -96,13 +96,13 @@ WRONG: dict[str, tuple[Callable[[], tx.System], str, str]] = {
     "a column of the wrong axes": (outputs(y=R[0, :] * angle + R[:, 0]), "two frames", "maps 'body' to 'world'"),
     "metres and kilograms": (rates((x, x + mass)), "Add has one unit, got m and kg", "divide by"),
     "a rate without a second": (rates((x, x)), "the rate of 'x' in m is in m/s, got m", "divide by"),
-    "a sine of metres": (outputs(y=tx.Sin(x)), "Sin takes radians", "divide by"),
+    "a sine of metres": (outputs(y=tx.Sin(x)), "Sin expects radians", "divide by"),
     "an exponent of metres": (outputs(y=tx.Exp(-x)), "Exp takes", "divide by"),
     "a mass forgotten": (rates((x, speed), (speed, -k * x)), "the rate of 'speed' in m/s is in m/s2", "kg"),
     "an angle of a speed and a length": (outputs(y=tx.Atan2(x, speed)), "Atan2 takes operands of one unit", "s"),
     "a choice between units": (outputs(y=tx.Where(x <= 2.0, x, speed)), "Where has one unit", "s"),
     "a comparison": (outputs(y=tx.Where(x <= speed, x, x)), "Inequality has one unit", "s"),
-    "a point moved by a speed": (outputs(y=lie.Act(g, R.T @ v)), "a pose moves points", "divide"),
+    "a point moved by a speed": (outputs(y=lie.Act(g, R.T @ v)), "a pose transforms points", "divide"),
     "parts that make no six-vector": (outputs(y=lie.wrench(force=push, torque=R @ w)), "a six-vector is", "divide"),
     "a branch": (outputs(y=tx.Cond(x <= 2.0, v, R.T @ v)), "two frames", "maps 'body' to 'world'"),
     "the body of a map": (
@@ -112,7 +112,7 @@ WRONG: dict[str, tuple[Callable[[], tx.System], str, str]] = {
     ),
     "a scalar added to a vector": (outputs(y=v + speed), "a scalar is added to each entry", "a direction"),
     "a scalar taken off a vector": (outputs(y=w - speed / x), "a scalar is added to each entry", "a direction"),
-    "a pose times a length": (outputs(y=(x * g)[:3, :3]), "a pose has no unit", "divide by"),
+    "a pose times a length": (outputs(y=(x * g)[:3, :3]), "a pose has no single unit", "divide by"),
     "a table of another unit": (outputs(y=x + tx.Linterp(angle, [0.0, 1.0], MASSES)), "Add has one unit", "kg"),
     "a table at another unit": (outputs(y=tx.Linterp(angle, MASSES, [0.0, 1.0])), "Linterp has one unit along", "kg"),
     "a quantity": (outputs(y=x + 3.0 * tx.units.seconds), "Add has one unit, got m and s", "divide"),
@@ -190,7 +190,7 @@ def test_a_kind_is_for_a_shape_and_a_unit_is_si() -> None:
         tx.State("V", shape=(3,), kind=tx.Twist("body"))
     with pytest.raises(tx.ModelError, match="'furlong' is none of"):
         tx.State("h", unit="furlong")
-    with pytest.raises(tx.ModelError, match="leaves have SI units"):
+    with pytest.raises(tx.ModelError, match="use an SI unit"):
         tx.State("h", unit=tx.units.feet)
 
 

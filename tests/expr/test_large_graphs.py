@@ -173,7 +173,7 @@ def test_branches_that_share_again_and_again_are_refused(monkeypatch: pytest.Mon
     for k in range(40):
         e = tx.Cond(b <= float(k), tx.Sin(e), b) + tx.Cond(a <= float(k), tx.Cos(e), b)
     values = {"a": jnp.asarray(0.1), "b": jnp.asarray(0.2)}
-    with pytest.raises(ModelError, match=r"(?s)branches of tx\.Cond share.*more than.*fix: tx\.Where"):
+    with pytest.raises(ModelError, match=r"(?s)branches of tx\.Cond share.*more than.*fix: use tx\.Where"):
         jax.eval_shape(function_of(e), values)
     assert jax.eval_shape(function_of(_wheres(e)), values)[0].shape == ()
 

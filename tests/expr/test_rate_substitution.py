@@ -41,12 +41,16 @@ def test_a_rate_after_a_substitution(rate: tx.Expr, exchange: dict[Any, Any], ri
 @pytest.mark.parametrize(
     ("rate", "exchange", "match"),
     [
-        (tx.Rate(P * X, {X: V}), {P: Y}, "state 'y', whose rate is not known, in place of 'p'"),
+        (
+            tx.Rate(P * X, {X: V}),
+            {P: Y},
+            "replaces 'p', which has no rate, by an expression of the state 'y', whose rate is not known",
+        ),
         (tx.Rate(P * X, {X: V}), {P: X, X: Y}, "state 'x', whose rate is not known"),
         (tx.Rate(P, {}), {P: X}, "state 'x', whose rate is not known"),
         (tx.Rate(P * X, {X: V}), {P: tx.Time()}, "time .*whose rate is not known"),
-        (tx.Rate(X * Y, {X: V, Y: W}), {X: Y}, "'y' in place of leaves whose rates differ"),
-        (tx.Rate(X * Y, {X: 0.0, Y: W}), {X: Y}, "'y' in place of leaves whose rates differ"),
+        (tx.Rate(X * Y, {X: V, Y: W}), {X: Y}, "replaces leaves with different rates by 'y'"),
+        (tx.Rate(X * Y, {X: 0.0, Y: W}), {X: Y}, "replaces leaves with different rates by 'y'"),
     ],
 )
 def test_a_substitution_without_the_rate_is_refused(rate: tx.Expr, exchange: dict[Any, Any], match: str) -> None:

@@ -108,7 +108,7 @@ def test_it_lowers_to_one_map() -> None:
 
 
 def test_errors() -> None:
-    with pytest.raises(ShapeError, match=r"axis 2 to be one of batch 0, got shape \(4, 3\)"):
+    with pytest.raises(ShapeError, match=r"batch 0 to have the axis 2, got shape \(4, 3\)"):
         tx.Vmap(lambda p: p, batch=points, axis=2)
     with pytest.raises(ShapeError, match="equal length along axis 0, got 4 and 3"):
         tx.Vmap(lambda p, q: p, batch=[points, x])

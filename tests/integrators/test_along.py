@@ -174,7 +174,7 @@ def test_a_data_frame_or_the_name_of_what_is_missing(monkeypatch: pytest.MonkeyP
     frame = flown().to_dataframe()
     assert list(frame)[:3] == ["t [s]", "x", "R.qw"]
     np.testing.assert_allclose(frame["x"], XS, atol=1e-14)
-    with pytest.raises(tx.InputError, match=r"two columns are called 'a\[1\] \[m\]'"):
+    with pytest.raises(tx.InputError, match=r"two columns have the header 'a\[1\] \[m\]'"):
         flown().to_dataframe(_Twice())
 
 
@@ -290,7 +290,7 @@ def test_polynomials_stop_at_jumps_and_events_and_have_derivatives() -> None:
 
 
 def test_what_has_no_polynomial_says_so() -> None:
-    with pytest.raises(tx.InputError, match="between is for steps chosen by tolerances"):
+    with pytest.raises(tx.InputError, match="between applies to adaptive steps"):
         flown(between=tx.Between.POLYNOMIAL)
     method = tx.ImplicitRKMK(tx.tableaus.RADAU_IIA5)
     with pytest.raises(tx.ModelError, match="has no polynomial between the ends of its steps"):

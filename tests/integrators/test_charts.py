@@ -155,7 +155,7 @@ def test_charts_are_values() -> None:
 @pytest.mark.usefixtures("unchecked")
 def test_commutators_are_counted_in_whole_numbers() -> None:
     for commutators in (0, -1, 1.5):
-        with pytest.raises(tx.ModelError, match="commutators must be a whole number from 1 on"):
+        with pytest.raises(tx.ModelError, match="commutators must be a positive whole number"):
             Exponential(commutators)  # type: ignore[arg-type]
 
 

@@ -134,10 +134,14 @@ def test_methods_are_values() -> None:
 @pytest.mark.parametrize(
     ("a", "b", "message"),
     [
-        ([[], [[1.0]]], [[0.5, 0.4]], r"tableau 'bad': b must sum to 1, it sums to 0\.9"),
-        ([[], [[0.5, 0.5]]], [[1.0]], r"a\[1\] weighs 2 slopes where 1 are known: it would be implicit"),
+        ([[], [[1.0]]], [[0.5, 0.4]], r"tableau 'bad': b must sum to 1, but it sums to 0\.9"),
+        (
+            [[], [[0.5, 0.5]]],
+            [[1.0]],
+            r"a\[1\] has 2 weights, but only 1 earlier slopes exist: the method would be implicit",
+        ),
         ([[], [[0.0]]], [[1.0]], r"a\[1\] has an exponential whose weights are all zero"),
-        ([[], [[1.0]]], [[0.5, 0.25, 0.25]], "b weighs 3 slopes where 2 are known"),
+        ([[], [[1.0]]], [[0.5, 0.25, 0.25]], "b has 3 weights, but only 2 earlier slopes exist"),
         ([[], [1.0]], [[1.0]], r"a\[1\] is not a list of rows of numbers"),
         ([[], [[float("nan")]]], [[1.0]], "a has entries that are not finite"),
     ],

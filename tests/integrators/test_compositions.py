@@ -79,7 +79,7 @@ def test_weights_are_read_only() -> None:
     [
         (3, [1.0], "order must be an even whole number, got 3"),
         (2, [0.4, 0.6], "read the same backwards"),
-        (2, [0.4, 0.4], "weights must sum to 1 for order 2, they sum to 0.8"),
+        (2, [0.4, 0.4], "weights must sum to 1 for order 2, but they sum to 0.8"),
         (4, [0.3, 0.4, 0.3], "powers 3 of the weights must sum to 0 for order 4"),
         (2, [], "shape"),
         (2, [np.nan], "finite"),

@@ -243,9 +243,9 @@ def test_refusals(unchecked: None) -> None:
         tx.Event(h, terminal=None)
     with pytest.raises(tx.ModelError, match=r"at_start expects a tx\.AtStart"):
         tx.Event(h, at_start="stop")
-    with pytest.raises(tx.InputError, match="max_crossings is for events that do not end"):
+    with pytest.raises(tx.InputError, match="max_crossings applies to events that do not end"):
         thrown(tx.Event(h), max_crossings=3, dt=0.1)
-    with pytest.raises(tx.InputError, match="max_crossings is for events"):
+    with pytest.raises(tx.InputError, match="max_crossings applies to events"):
         thrown(None, max_crossings=3, dt=0.1)
     with pytest.raises(tx.InputError, match="max_crossings must be a whole number of 1 or more, got 0"):
         thrown(LEVEL, max_crossings=0, dt=0.1)

@@ -39,7 +39,7 @@ def test_the_controller_without_the_solver() -> None:
     ambient, control = tx.diffrax.ambient_term(top()), tx.diffrax.controller(1e-6)
     with pytest.raises(tx.ModelError, match=r"controller need terms of .*lie_term, got AmbientTerm"):
         solve(ambient, diffrax.Tsit5(), ambient.to_ambient(start()), stepsize_controller=control)
-    with pytest.raises(tx.ModelError, match="the other way round"):
+    with pytest.raises(tx.ModelError, match="compares matrices entry by entry"):
         solve(LIE, diffrax.HalfSolver(TSIT5), stepsize_controller=control)
 
 
@@ -71,10 +71,10 @@ def test_solvers_that_are_no_runge_kutta_methods(unchecked: None) -> None:
 
 def test_the_number_of_terms() -> None:
     both = diffrax.MultiTerm(*(tx.diffrax.lie_term(half) for half in halves()))
-    with pytest.raises(tx.ModelError, match=r"Tsit5 got 2 terms.\n  fix: give it one"):
+    with pytest.raises(tx.ModelError, match=r"Tsit5 got 2 terms.\n  fix: pass one"):
         solve(both, TSIT5)
     control = tx.diffrax.controller(1e-6)
-    with pytest.raises(tx.ModelError, match=r"KenCarp4 got 1 term.\n  fix: give it diffrax.MultiTerm"):
+    with pytest.raises(tx.ModelError, match=r"KenCarp4 got 1 term.\n  fix: pass diffrax.MultiTerm"):
         solve(LIE, tx.diffrax.LieSolver(diffrax.KenCarp4(), top()), stepsize_controller=control)
 
 
@@ -86,7 +86,7 @@ def test_another_system() -> None:
 
 
 def test_arguments_and_tolerances() -> None:
-    with pytest.raises(tx.InputError, match="args must be"):
+    with pytest.raises(tx.InputError, match="args expects"):
         solve(LIE, TSIT5, args={"J": np.ones(3)})
     with pytest.raises(tx.InputError, match="unknown key 'K' in params"):
         solve(LIE, TSIT5, args=(None, {"K": np.ones(3)}))

@@ -28,7 +28,7 @@ GOOD = {"name": "mine", "order": 2, "a": [[0, 0], [1, 0]], "b": [0.5, 0.5], "c":
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"b": [0.5, 0.4]}, "'mine': b must sum to 1, it sums to 0.9"),
+        ({"b": [0.5, 0.4]}, "'mine': b must sum to 1, but it sums to 0.9"),
         ({"c": [0, 0.9]}, r"row 1 of a sums to 1, but c\[1\] is 0.9"),
         (
             {"a": [[0, 0], [0.5, 0.5]]},

@@ -212,7 +212,7 @@ def test_what_has_no_meaning_on_the_group_is_refused() -> None:
     class Changeable(Similarity):
         __hash__ = None  # type: ignore[assignment]
 
-    with pytest.raises(tx.ModelError, match=r"(?s)compared and hashed.*frozen dataclass"):
+    with pytest.raises(tx.ModelError, match=r"(?s)comparable and hashable.*frozen dataclass"):
         tx.State("q", group=Changeable())
 
 

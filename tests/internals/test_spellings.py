@@ -173,7 +173,7 @@ ASKED: list[tuple[str, Callable[[], Any]]] = [
 
 @pytest.mark.parametrize("attempt", [a[1] for a in ASKED], ids=[a[0] for a in ASKED])
 def test_functions_of_jax_name_those_of_numpy(attempt: Callable[[], Any]) -> None:
-    words = r"expects arrays, got the expression .*\n  fix: write np for jnp, np.sin\(x\), .* tx.Sin\(x\)"
+    words = r"expects arrays, got the expression .*\n  fix: use NumPy, np.sin\(x\), .* tx.Sin\(x\)"
     with pytest.raises(tx.ModelError, match=words):
         attempt()
 

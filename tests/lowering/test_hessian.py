@@ -377,10 +377,10 @@ def test_wrong_names() -> None:
     dynamics = tx.compile(tx.System(rates={y: -y}, outputs=outputs, constraints={"other": y <= 1.0}))
     for name, families in (("y", "rates and outputs"), ("other", "outputs and constraints")):
         with pytest.raises(
-            tx.InputError, match=f"{name}.*ambiguous: the system has {families} of that name.*\n.*rename"
+            tx.InputError, match=f"{name}.*ambiguous: the system has {families} with that name.*\n.*rename"
         ):
             dynamics.hessian(0.0, {"y": 1.0}, None, None, {name: 1.0})
     with pytest.raises(tx.InputError, match=r"'up'.*is a condition, not a number"):
         dynamics.hessian_pattern("up")
-    with pytest.raises(tx.InputError, match="wrt names 'z'; it takes 'x', 'u' and 'params'"):
+    with pytest.raises(tx.InputError, match="wrt expects names out of 'x', 'u' and 'params', got 'z'"):
         dynamics.hessian(0.0, {"y": 1.0}, None, None, {"inequality": [1.0]}, wrt="z")

@@ -156,7 +156,7 @@ def test_a_parameter_without_a_value() -> None:
 
 def test_nothing_to_lower() -> None:
     for nothing in ((), {}, []):
-        with pytest.raises(tx.ModelError, match="nothing to lower"):
+        with pytest.raises(tx.ModelError, match="there is no expression in"):
             tx.lower(nothing)
 
 
@@ -200,7 +200,7 @@ def test_chains_that_end_the_process_in_xla_are_refused_where_they_are_compiled(
     for k in range(1501):
         e = tx.Sin(e) if k % 2 else tx.Cos(e)
     function = tx.lower(e)
-    with pytest.raises(tx.ModelError, match=r"(?s)chain of more than 1,500.*XLA ends the process.*fix: .*lax\.scan"):
+    with pytest.raises(tx.ModelError, match=r"(?s)chain of more than 1,500.*XLA would crash.*fix: .*lax\.scan"):
         jax.jit(lambda s: function(0.0, {"s": s}))(0.3)
     shorter = tx.lower(e.children()[0])
     expected = 0.3

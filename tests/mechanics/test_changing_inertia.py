@@ -146,7 +146,7 @@ def test_a_mechanism_takes_the_rates_of_further_states() -> None:
     x = {"q": np.ones(1), "qd": np.ones(7), "root_position": np.eye(4), "length": np.ones(()), "speed": np.ones(())}
     one, other = (tx.compile(each)(0.0, x)["qd"] for each in (system, known))
     np.testing.assert_array_equal(one, other)
-    with pytest.raises(tx.ModelError, match=r"rates of further states, got 'qd'"):
+    with pytest.raises(tx.ModelError, match=r"rates of additional states, got 'qd'"):
         inside.system(rates={"qd": np.zeros(7)})
 
 
@@ -204,7 +204,7 @@ def test_a_mass_that_is_a_state_of_rate_zero_stays() -> None:
         for name, value in expected.items():
             np.testing.assert_allclose(actual[name], value, rtol=1e-12, atol=1e-12)
     for rates in ({mass: SPEED}, {}):
-        with pytest.raises(tx.ModelError, match=r"(?s)mass that does not change.*fix: rates="):
+        with pytest.raises(tx.ModelError, match=r"(?s)mass that does not change.*fix: pass rates="):
             body(mass, rates={**RATES, **rates}, mass_leaves=False)
 
 
@@ -230,7 +230,7 @@ def test_what_is_not_known_is_refused(unchecked: None) -> None:
         lambda: Drive(armature=x),
     ):
         with pytest.raises(
-            tx.ModelError, match=r"(?s)not to change with the motion, got .*depends on 'x'.*fix: use a joint"
+            tx.ModelError, match=r"(?s)constant during the motion, got .*depends on 'x'.*fix: use a joint"
         ):
             call()
     with pytest.raises(tx.ShapeError, match=r"rate of 'x' with shape \(\), got \(3,\)"):

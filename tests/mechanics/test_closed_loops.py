@@ -229,7 +229,7 @@ def test_a_linkage_stays_closed_and_keeps_its_energy() -> None:
 
 def test_states_are_brought_to_the_manifold() -> None:
     dynamics, x = moving(), start()
-    with pytest.raises(tx.InputError, match=r"off the manifold of the system by 0\.(.|\n)*dynamics.project"):
+    with pytest.raises(tx.InputError, match=r"from the manifold of the system is 0\.(.|\n)*dynamics.project"):
         tx.integrate(dynamics, off(x, 0.1), t1=1.0, dt=0.1)
     near = dynamics.project(0.0, off(x, 0.1))
     found = dynamics.outputs(0.0, near)
@@ -281,12 +281,12 @@ def test_bad_loops_are_refused(unchecked: None) -> None:
     for closure, message in (
         ([loops.PointLoop("a", "pin", "nowhere")], "no frame 'nowhere'"),
         ([loops.PointLoop("a", "pin", "coupler")], "two frames of one body"),
-        ([loops.PointLoop("a", "pin", "tip"), loops.PointLoop("a", "tip", "pin")], "two loops have one name"),
+        ([loops.PointLoop("a", "pin", "tip"), loops.PointLoop("a", "tip", "pin")], "loops must have different names"),
         (["pin"], "expects loops"),
     ):
         with pytest.raises(tx.ModelError, match=message):
             Mechanism(links, loops=closure)
-    with pytest.raises(tx.ModelError, match="two frames, got 'pin' twice"):
+    with pytest.raises(tx.ModelError, match="two different frames, got 'pin' twice"):
         loops.AxisLoop("a", "pin", "pin", y)
     with pytest.raises(tx.ModelError, match="no loop 'b'"):
         mechanics.loop_wrench(four_bar(), "b")

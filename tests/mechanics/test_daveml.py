@@ -121,7 +121,7 @@ def test_inputs_units_and_what_a_call_refuses() -> None:
         ("8, 4, <", "8, 1_0 <", "line {line}, <dataTable>: expected finite numbers, got '1_0'"),
         ("8, 4, <", "8, &#1636; <", "line {line}, <dataTable>: expected finite numbers, got '\u0664'"),
         ('gtID="T"/></functionDefn>', 'gtID="S"/></functionDefn>', "line {line}, <griddedTableRef>: gtID 'S' is"),
-        ('bpID="E"><bpVals', 'bpID="A"><bpVals', "line {line}, <breakpointDef>: bpID 'A' was .* line 40"),
+        ('bpID="E"><bpVals', 'bpID="A"><bpVals', "line {line}, <breakpointDef>: bpID 'A' is already .* line 40"),
         ('varID="ceil">1', 'varID="floor">1', "line {line}, <function.*varID 'floor' has another"),
         ('varID="mach" interpolate="floor"', 'varID="steps" interpolate="floor"', "depends on itself"),
         ('interpolate="floor"', 'interpolate="cubicSpline"', "line {line}, <independentVarPts>: .*cubicSpline"),
@@ -131,7 +131,7 @@ def test_inputs_units_and_what_a_call_refuses() -> None:
         ("<m:plus/>", "<m:divide/>", "line {line}, <divide>: expected 2 operands, got 3"),
         ("<m:cn>100</m:cn>", "<m:cn>nan</m:cn>", "line {line}, <cn>: expected a finite number, got 'nan'"),
         ('minValue="-90"', 'minValue="91"', "line {line}, <variableDef.*minValue 91 is above maxValue 90"),
-        ("<checkData>", "<switch/><checkData>", "line {line}, <switch>: is not read"),
+        ("<checkData>", "<switch/><checkData>", "line {line}, <switch>: is not supported"),
         ("<signalName>steps<", "<signalName>stpes<", "line {line}, <signal>: there is no variable 'stpes'"),
         ("nowhere/DAVEfunc.dtd\"", 'nowhere/DAVEfunc.dtd" [<!ENTITY a "1">]', "line 2: a document type or entity"),
         (">0.2, 0.6", ">&a; 0.6", "line {line}: unknown entity &a;"),
@@ -177,7 +177,7 @@ def test_odd_roots_and_the_values_of_checks(tmp_path: Path) -> None:
     with pytest.raises(tx.ModelError, match="'a' given twice"):
         model.values({"a": 1.0}, a=2.0)
     path.write_text(text.replace("<signalValue>2<", "<signalValue>3<"))
-    with pytest.raises(tx.ModelError, match="gives 'c' the value 3, which is not an input"):
+    with pytest.raises(tx.ModelError, match="sets 'c' to 3, but 'c' is not an input"):
         load_daveml(path).check()
 
 

@@ -234,13 +234,19 @@ def test_what_cannot_be_asked_for(unchecked: None) -> None:
         (lambda: DifferentialController(arm, ["flange"], dt=0.01), "expects tasks, such as FrameTask"),
         (lambda: DifferentialController(arm, tasks, dt=0.0), "dt"),
         (lambda: DifferentialController(arm, tasks, dt=0.01, speed=np.ones(3)), "speed expects positive numbers"),
-        (lambda: DifferentialController(arm, tasks, dt=0.01, constraints=[arm.q[0] == 0.0]), "keeps inequalities"),
-        (lambda: DifferentialController(arm, tasks, dt=0.01, constraints=[arm.qd[0] <= 0.0]), "reads positions"),
+        (
+            lambda: DifferentialController(arm, tasks, dt=0.01, constraints=[arm.q[0] == 0.0]),
+            "expects inequalities as constraints",
+        ),
+        (
+            lambda: DifferentialController(arm, tasks, dt=0.01, constraints=[arm.qd[0] <= 0.0]),
+            "expects expressions of positions",
+        ),
         (lambda: controller(x, {}, qd=rest), "expects targets for 'flange_pose'"),
         (lambda: controller(x, {"hand": T}, qd=rest), "no target 'hand'"),
         (lambda: controller({}, {"flange_pose": T}, qd=rest), "x expects 'q'"),
-        (lambda: controller(x, {"flange_pose": T}), "expects qd"),
-        (lambda: controller.to_c("none"), "expects states with targets"),
+        (lambda: controller(x, {"flange_pose": T}), "velocities qd"),
+        (lambda: controller.to_c("none"), "expects states and targets"),
     ]
     for call, message in wrong:
         with pytest.raises((InputError, ModelError), match=message):

@@ -123,11 +123,11 @@ def test_what_cannot_be_locked(unchecked: None) -> None:
         arm.lock({"joint1": np.nan})
     with pytest.raises(ShapeError, match=r"'joint1' with shape \(1,\)"):
         arm.lock({"joint1": np.zeros(2)})
-    with pytest.raises(ModelError, match="'hinge' follows 'slide'"):
+    with pytest.raises(ModelError, match="'hinge' mimics 'slide'"):
         tree.lock({"hinge": 0.0})
     with pytest.raises(ModelError, match="'ball' to be a rotation"):
         tree.lock({"ball": np.diag([1.0, 1.0, -1.0])})
-    with pytest.raises(ModelError, match="not to change with the motion"):
+    with pytest.raises(ModelError, match="constant during the motion"):
         arm.lock({"joint1": tx.State("other")})
     with pytest.raises(ModelError, match="expects positions by the names of joints"):
         arm.lock("joint1")  # type: ignore[arg-type]
@@ -197,7 +197,7 @@ def test_two_mechanisms_on_one_base_keep_closures_motors_and_limits() -> None:
 
 def test_what_cannot_be_attached(unchecked: None) -> None:
     arm, linkage = panda(), four_bar()
-    with pytest.raises(ModelError, match=r"both have frames named 'flange', 'link0'.*(\n.*)*renamed"):
+    with pytest.raises(ModelError, match=r"both mechanisms have frames named 'flange', 'link0'.*(\n.*)*renamed"):
         arm.attach(arm)
     with pytest.raises(ModelError, match="no link 'hand'"):
         arm.attach(linkage, "hand")
@@ -218,11 +218,11 @@ def test_without_a_branch_it_is_the_tree_without_it() -> None:
     body = body_of(Cloud.random(np.random.default_rng(0)))
     follower = Link(joints.Revolute("hinge", Z), body, np.eye(4), mimic=mechanics.Mimic("slide"))
     led = Mechanism([Link(joints.Prismatic("slide", Z), body, np.eye(4)), follower])
-    with pytest.raises(ModelError, match="'hinge' follows 'slide', which would be gone"):
+    with pytest.raises(ModelError, match="'hinge' mimics 'slide', which would be removed"):
         led.without("slide")
     with pytest.raises(ModelError, match="'closure', 'pin', 'tip'"):
         four_bar().without("rocker")
-    with pytest.raises(ModelError, match="no link would be left"):
+    with pytest.raises(ModelError, match="the mechanism would have no links"):
         panda().without("link1")
 
 

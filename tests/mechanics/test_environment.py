@@ -183,7 +183,7 @@ def test_another_atmosphere_and_what_makes_none() -> None:
         dataclasses.replace(AIR, pressure_at_base=-1.0)
     with pytest.raises(ModelError, match="gas_constant to be a positive number, got 0"):
         dataclasses.replace(AIR, gas_constant=0.0)
-    with pytest.raises(ModelError, match="one that does not fall"):
+    with pytest.raises(ModelError, match="no decrease above the last base"):
         dataclasses.replace(AIR, lapses=(*AIR.lapses[:-1], -1e-3))
 
 

@@ -304,8 +304,12 @@ def test_what_is_refused(unchecked: None) -> None:
     craft = flight.Vehicle()
     for call, error, words in (
         (lambda: flight.Vehicle(earth.WGS84), ModelError, "planet to be of Planet, got Ellipsoid"),
-        (lambda: flight.Vehicle(wind=(1.0, 0.0, 0.0)), ModelError, "wind to be a function of .*\n  fix: flight.Steady"),
-        (lambda: flight.Planet(earth.WGS84, 9.81), ModelError, "gravity to be of Gravity, got 9.81"),
+        (
+            lambda: flight.Vehicle(wind=(1.0, 0.0, 0.0)),
+            ModelError,
+            "wind to be a function of .*\n  fix: for a constant wind use flight.Steady",
+        ),
+        (lambda: flight.Planet(earth.WGS84, 9.81), ModelError, "gravity to be an instance of Gravity, got 9.81"),
         (lambda: craft.system(2.0), ModelError, "body to be of SpatialInertia, got 2.0"),
         (lambda: craft.system(BALL, np.zeros(3)), ShapeError, r"wrench with shape \(6,\), got \(3,\)"),
         (lambda: flight.Steady((1.0, 2.0)), InputError, r"Steady: velocity expects finite numbers of shape \(3,\)"),
@@ -322,7 +326,7 @@ def test_what_is_refused(unchecked: None) -> None:
 def test_names_and_sizes_that_are_refused() -> None:
     craft = flight.Vehicle()
     body = SpatialInertia(mass=1.0, inertia=np.eye(3))
-    with pytest.raises(ModelError, match="further outputs, got 'altitude'"):
+    with pytest.raises(ModelError, match="additional outputs, got 'altitude'"):
         craft.system(body, outputs={"altitude": craft.place.altitude / feet})
     with pytest.raises(ModelError, match="area must be 0 or more"):
         flight.drag(craft.air, -0.1)

@@ -205,7 +205,7 @@ def test_deviations_over_seeds_are_the_bound_for_seven_links() -> None:
 
 def test_bad_input(real: Mechanism, data: dict[str, np.ndarray], unchecked: None) -> None:
     for changed, match in (
-        ({"tau": data["tau"][:5]}, "as many samples"),
+        ({"tau": data["tau"][:5]}, "the same number of samples"),
         ({"q": data["q"][:, :2]}, r"'q' with shape \(samples, 3\), got \(150, 2\)"),
         ({"qd": np.where(np.arange(150)[:, None] == 7, np.nan, data["qd"])}, "'qd' at sample 7"),
         ({"tau": 0.0 * data["tau"]}, "not all zero"),
@@ -216,8 +216,8 @@ def test_bad_input(real: Mechanism, data: dict[str, np.ndarray], unchecked: None
             identify(real, {**data, **changed})
     for options, error, match in (
         ({"links": ["elbow"]}, ModelError, "no frame 'elbow'"),
-        ({"links": ["base"]}, ModelError, "base carries"),
-        ({"links": []}, ModelError, "unknown, got none"),
+        ({"links": ["base"]}, ModelError, "do not move"),
+        ({"links": []}, ModelError, "drive, got none"),
         ({"drives": ["gear"]}, ModelError, "drives among"),
         ({"noise": 0.0}, InputError, "positive"),
         ({"noise": [1.0, 2.0]}, InputError, "noise"),
@@ -226,7 +226,7 @@ def test_bad_input(real: Mechanism, data: dict[str, np.ndarray], unchecked: None
     ):
         with pytest.raises(error, match=match):
             identify(real, data, **options)
-    with pytest.raises(InputError, match="leave no residuals"):
+    with pytest.raises(InputError, match="are not enough to estimate"):
         identify(real, {name: value[:2] for name, value in data.items()})
     result = identify(real, data, noise=0.1)
     for wanted in ("j0.weight", {"j0.mass": np.nan}, {}, 3):

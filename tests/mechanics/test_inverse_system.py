@@ -126,7 +126,7 @@ def test_what_has_no_inverse_form_is_refused() -> None:
         two_links().replace(loops=[loop]).inverse_system()
     with pytest.raises(tx.ModelError, match="outputs names 'tau'"):
         two_links().inverse_system(outputs={"tau": two_links().energy()})
-    with pytest.raises(tx.ModelError, match="no movable joint 'wrist'"):
+    with pytest.raises(tx.ModelError, match="no moving joint 'wrist'"):
         two_links().inverse_system(controls=["wrist"])
     kept = two_links().inverse_system(outputs=lambda qdd, tau: {"power": tau @ two_links().qd, "qdd": qdd})
     assert set(kept.outputs) == {"tau", "power", "qdd"}

@@ -186,7 +186,7 @@ def test_axis_as_a_parameter_has_the_subspaces_of_one_that_is_not() -> None:
         ({"mass": "-1"}, r"line 3, <inertial>: link 'b' has a mass(.|\n)*physical={'b': False}"),
         ({"ixx": "-5"}, r"line 3, <inertial>: link 'b' (.|\n)*not negative"),
         ({"kind": "ball"}, r"line 5, <joint name='j'>: expected the type(.|\n)*got 'ball'"),
-        ({"child": "c"}, r"line 5, <joint name='j'>: there is no link 'c', its child"),
+        ({"child": "c"}, r"line 5, <joint name='j'>: there is no link 'c', the child of this joint"),
         ({"child": "a"}, r"line 5, <joint name='j'>: the links form a cycle: 'a'"),
         ({"xyz": "0 0"}, r"in <joint name='j'>, line 5, <origin>: expected 3 finite numbers in xyz, got '0 0'"),
         ({"xyz": "0 0 nan"}, r"line 5, <origin>: expected 3 finite numbers"),

@@ -323,8 +323,8 @@ def test_the_example_says_what_is_missing(
         example.read(tmp_path, 1)
     for text, words in (
         ("", "expected 301 rows"),
-        ("time,x\n0.0,1.0\n0.1\n", "as many numbers in each row"),
-        ("time,x\n0.0,none\n", "numbers in each row.*none"),
+        ("time,x\n0.0,1.0\n0.1\n", "the same number of entries in each row"),
+        ("time,x\n0.0,none\n", "number of entries in each row.*none"),
         ("x\n" + "0.0\n" * 301, "no column time"),
     ):
         file.write_text(text)

@@ -167,14 +167,14 @@ def test_what_has_no_distance(unchecked: None) -> None:
         (lambda: ConvexPolytope(np.eye(3)), "span a volume"),
         (lambda: ConvexPolytope(np.full((8, 3), np.nan)), "finite"),
         (lambda: ConvexPolytope(CORNERS, radius=-1.0), "radius of 0 or more"),
-        (lambda: ConvexPolytope(CORNERS, most=3), "most of 4"),
+        (lambda: ConvexPolytope(CORNERS, most=3), "most to be 4"),
         (
             lambda: signed_distance(DistanceGrid([np.arange(4.0)] * 3, np.ones((4, 4, 4))), Box(LENGTHS)),
-            "a Sphere beside",
+            "a Sphere as the partner",
         ),
         (lambda: DistanceGrid([np.arange(4.0)] * 3, np.ones((4, 4))), "shape"),
         (lambda: clearances(mechanics.chain_models.equal_links(2)), "links with shapes"),
-        (lambda: clearances(mechanics.chain_models.equal_links(2), {"joint1": Sphere(0.1)}), "no pair is left"),
+        (lambda: clearances(mechanics.chain_models.equal_links(2), {"joint1": Sphere(0.1)}), "all pairs are excluded"),
         (lambda: soft_minimum([], 0.1), "got none"),
         (lambda: soft_minimum([tx.Constant(1.0)], 0.0), "width"),
     ]

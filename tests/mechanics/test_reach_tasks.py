@@ -97,8 +97,8 @@ def test_what_cannot_be_asked_for(unchecked: None) -> None:
     wrong: list[tuple[Any, str]] = [
         ({"tasks": [FrameTask("joint1")]}, "none for 'joint1_pose'"),
         ({"tasks": ["joint1"]}, "reach expects tasks"),
-        ({"constraints": [arm.q[0] == 0.0]}, "keeps inequalities"),
-        ({"constraints": [tx.Time() <= 0.0]}, "reads positions"),
+        ({"constraints": [arm.q[0] == 0.0]}, "expects inequalities as constraints"),
+        ({"constraints": [tx.Time() <= 0.0]}, "expects expressions of positions"),
     ]
     for arguments, message in wrong:
         with pytest.raises((InputError, ModelError), match=message):

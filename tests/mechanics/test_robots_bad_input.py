@@ -38,14 +38,14 @@ def records(**changes: Any) -> dict[str, Any]:
         (lambda: ARM.to_urdf(leave_out=None), ModelError, "leave_out expects names"),
         (lambda: Drive(upper=np.inf), ModelError, "None where there is no limit"),
         (lambda: ARM.system(controls=3), ModelError, "joints expects names"),
-        (lambda: ARM.system(rates=[1]), ModelError, "rates are expressions by states"),
+        (lambda: ARM.system(rates=[1]), ModelError, "rates must be a dict from states"),
         (lambda: ARM.system(forces=[np.nan, 0.0]), ModelError, "forces to be finite"),
         (lambda: ARM.system(wrenches={"b": np.full(6, np.inf)}), ModelError, "wrench at 'b' to be finite"),
         (lambda: ARM.inverse_system(outputs=[1]), ModelError, "outputs expects expressions by name"),
         (
             lambda: ARM.replace(drives={"a": Drive(gear=0.0)}).inverse_system(),
             ModelError,
-            "motors of 'a' have the gear zero",
+            "motors of 'a' have a gear of zero",
         ),
         (lambda: ARM.with_inertia({"b": POINT}).system(), ModelError, "no inertia about the axis of joint 'b'"),
         (lambda: reach(ARM, {"b": "far"}), InputError, "real numbers"),
@@ -59,7 +59,7 @@ def records(**changes: Any) -> dict[str, Any]:
         (
             lambda: controller(PositionTask("b", TARGET), PositionTask("b", 2.0 * TARGET)),
             ModelError,
-            "two tasks have a target 'b_position' with other numbers",
+            "two tasks have targets named 'b_position' with different numbers",
         ),
         (lambda: controller(mechanics.ManipulabilityTask("b")), ModelError, r"\(3, 2\) is singular everywhere"),
         (
@@ -73,11 +73,15 @@ def records(**changes: Any) -> dict[str, Any]:
             InputError,
             "warm expects the step before",
         ),
-        (lambda: controller(PostureTask([0.0, 0.0])).replace(gain=1.0), InputError, "replace takes 'dt', .*got 'gain'"),
+        (
+            lambda: controller(PostureTask([0.0, 0.0])).replace(gain=1.0),
+            InputError,
+            "arguments of replace are 'dt', .*got 'gain'",
+        ),
         (
             lambda: mechanics.computed_torque(ARM, TARGET[:2], TARGET[:2], stiffness=-1.0, damping=1.0),
             ModelError,
-            "stiffness of 0 or more",
+            "stiffness to be finite and 0 or more",
         ),
         (lambda: mechanics.base_parameters(ARM, drives=3), ModelError, "drives expects names"),
         (lambda: mechanics.identifiable_combinations(np.eye(1), None), ModelError, "names expects names"),

@@ -208,7 +208,7 @@ def test_clearances_of_links_with_cylinders() -> None:
 
 def test_what_is_refused(unchecked: None) -> None:
     grid = DistanceGrid([np.linspace(-1.0, 1.0, 5)] * 3, np.zeros((5, 5, 5)))
-    with pytest.raises(ModelError, match="expects a Sphere beside a DistanceGrid, got Cylinder"):
+    with pytest.raises(ModelError, match="expects a Sphere as the partner of a DistanceGrid, got Cylinder"):
         witness_points(grid, Cylinder(0.1, 0.2))
     with pytest.raises(InputError, match="span a volume"):
         fitted_capsule(np.zeros((5, 3)))

@@ -132,7 +132,7 @@ def test_a_start_without_finite_values() -> None:
 
 def test_bounds_that_fix_a_later_state_are_refused() -> None:
     stages = [Stage(1, 1, after=lambda x, u, p: [x[0] + u[0]]), Stage(1, states_within=(1.0, 1.0))]
-    with pytest.raises(tx.TrajectoryError, match="fix a state after the first by an equality"):
+    with pytest.raises(tx.TrajectoryError, match="fix a later state by an equality"):
         Staged(stages).solve(np.zeros(3))
 
 

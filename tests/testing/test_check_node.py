@@ -123,5 +123,5 @@ def test_an_error_is_seen(node: type[tx.Expr], words: str) -> None:
 @pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("wrong", [tx.Sin(1.0), dict], ids=["node", "class"])
 def test_what_is_no_class_of_nodes_is_refused(wrong: Any) -> None:
-    with pytest.raises(tx.InputError, match="check_node expects a class of nodes"):
+    with pytest.raises(tx.InputError, match="check_node expects a node class"):
         check_node(wrong)

@@ -64,8 +64,8 @@ def test_bad_input() -> None:
     ball = Link(joints.Spherical("ball"), SpatialInertia(mass=1.0, inertia=np.eye(3)), np.eye(4))
     passive = Mechanism(arm().links, driven=["elbow"])
     for mechanism, options, match in (
-        (arm(speed=None, effort=None), {}, "'shoulder', 'elbow' may move as far"),
-        (arm(speed=None, upper=None), {}, "may move as far"),
+        (arm(speed=None, effort=None), {}, "position or speed for 'shoulder', 'elbow'"),
+        (arm(speed=None, upper=None), {}, "no limit of position or speed"),
         (Mechanism([ball]), {}, r"lock\({joint: position}\)"),
         (passive, {}, "a motor for each joint, got none for 'shoulder'"),
         (arm(), {"period": -1.0}, "period"),

@@ -108,7 +108,7 @@ def test_a_process_that_ends_early_is_said(pushing: tx.trajectory.Problem) -> No
         process.kill()
         process.wait()
 
-    with pytest.raises(tx.TrajectoryError, match="ended its process"):
+    with pytest.raises(tx.TrajectoryError, match="ended before the solve was complete"):
         pushing.solve(solver=solver, callback=broken)
     assert pushing.solve(solver=solver).solved
     process = made._process

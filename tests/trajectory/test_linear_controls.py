@@ -102,7 +102,7 @@ def test_what_is_no_way_of_a_control() -> None:
         problem({"w": Linear()})
     with pytest.raises(tx.ModelError, match=r"tx.trajectory.Held\(\), Linear\(\) or Spline"):
         problem("linear")
-    with pytest.raises(tx.ModelError, match="reads the rate of u, which is held"):
+    with pytest.raises(tx.ModelError, match="reads the rate of u, but the control is piecewise constant"):
         problem(Held(), running=Rate(u) ** 2)
     with pytest.raises(tx.ModelError, match="positive"):
         Linear(rate=0.0)
@@ -112,5 +112,5 @@ def test_what_is_no_way_of_a_control() -> None:
         Rate("u")
     p, v = dynamics.states
     slew = tx.compile(tx.System(rates={p: v, v: u}, constraints={"slew": Rate(u) <= 1.0}))
-    with pytest.raises(tx.ModelError, match="reads the rate of u, which is held"):
+    with pytest.raises(tx.ModelError, match="reads the rate of u, but the control is piecewise constant"):
         Problem(slew, tx.Minimize(running=u**2), final_time=2.0, **ENDS)

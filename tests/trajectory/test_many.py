@@ -108,7 +108,7 @@ BAD: list[tuple[dict[str, Any], type[Exception], str]] = [
     ({"initial": {"p": [np.nan, np.nan]}}, tx.TrajectoryError, r"case 0: solve: initial\['p'\] must fix"),
     ({"initial": {"q": np.zeros(2)}}, tx.ModelError, "case 0: initial names 'q'"),
     ({"initial": {"p": []}}, tx.ShapeError, r"initial\['p'\] has no cases"),
-    ({"initial": {"p": [[1.0], [1.0, 2.0]]}}, tx.ShapeError, r"initial\['p'\] expects an array"),
+    ({"initial": {"p": [[1.0], [1.0, 2.0]]}}, tx.ShapeError, r"initial\['p'\] expects numbers or arrays"),
 ]
 
 

@@ -235,7 +235,7 @@ AHEAD = {"final_time": 1.0, "nodes": 3}
 BAD: list[tuple[Any, dict[str, Any], type[Exception], str]] = [
     ([], {}, tx.ModelError, "a list of tx.trajectory.Phase"),
     ([3.0], {}, tx.ModelError, "a list of tx.trajectory.Phase"),
-    ([{}], {}, tx.ModelError, "phases expect tx.Minimize"),
+    ([{}], {}, tx.ModelError, "the objectives of all phases must be of one kind"),
     ([{"objective": tx.Minimize(tx.Time())}, {"objective": tx.Maximize(tx.Time())}], {}, tx.ModelError, "Maximize"),
     ([{"objective": tx.Minimize(tx.Time()), "nodes": 1, "name": "up"}], {}, tx.TrajectoryError, "up: nodes"),
     ([{"objective": tx.Minimize(tx.Time())}], {"links": [{}]}, tx.ModelError, "links expects a list of 0"),
@@ -243,7 +243,7 @@ BAD: list[tuple[Any, dict[str, Any], type[Exception], str]] = [
     ([{"objective": tx.Minimize(tx.Time())}, {}], {"links": [{"p": [1.0, 2.0]}]}, tx.ShapeError, "'p'"),
     ([{"objective": tx.Minimize(tx.Time())}, {}], {"links": [{"p": tx.State("q")}]}, tx.ModelError, "'q'"),
     ([{"objective": tx.Minimize(tx.Time())}], {"params": {"mass": 1.0}}, tx.InputError, "'mass'"),
-    ([{"objective": tx.Minimize(tx.Time())}], {"nodes": 9}, tx.ModelError, "links, params and free alone, got 'nodes'"),
+    ([{"objective": tx.Minimize(tx.Time())}], {"nodes": 9}, tx.ModelError, "links, params and free only, got 'nodes'"),
     ([{"objective": tx.Minimize(tx.Time())}], {"free": {"mass": (1.0, 2.0)}}, tx.ModelError, "'mass'"),
 ]
 

@@ -166,5 +166,5 @@ def test_many_cases() -> None:
     np.testing.assert_allclose(many.params["last"], [0.7, 0.7, 0.6])
     np.testing.assert_allclose(many.durations["b"], 1.0)
     assert many[1].phases[0].xs["p"][0] == 0.02
-    with pytest.raises(InputError, match="cases 0 to 2, got 5"):
+    with pytest.raises(InputError, match="index of a case must be from 0 to 2, got 5"):
         many[5]

@@ -52,7 +52,7 @@ def test_a_speed_in_a_plane() -> None:
 @pytest.mark.parametrize(
     ("rate", "words"),
     [
-        (power / v, r"\(power / v\) is inf at node 0, where power is 0.5, v is 0\. A start may be singular by .*RADAU"),
+        (power / v, r"\(power / v\) is inf at node 0, where power is 0.5, v is 0\. For a singular start use .*RADAU"),
         (power - tx.Log(v), r"Log\(v\) is -inf at node 0, where v is 0\."),
         (power + v**0.5, r"the slope of \(v \*\* 0.5\) is not finite at node 0, where v is 0\."),
         (power + 1e-3 / (v * v), r"is inf at node 0, where v is 0\."),

@@ -193,7 +193,7 @@ def test_functions_that_jax_calls_back_are_refused_in_programs() -> None:
     cost = lambda end: optimum(final={"x": end}).cost  # noqa: E731
     assert float(cost(1.1)) == pytest.approx(problem.solve(final={x: 1.1}, tolerance=1e-8).cost, rel=1e-7)
     for way in (jax.jit(cost), lambda end: jax.vmap(cost)(jnp.full(2, end))):
-        with pytest.raises(tx.TrajectoryError, match=r"under jit and vmap .* native form. JAX runs the rates"):
+        with pytest.raises(tx.TrajectoryError, match=r"under jit and vmap .* native form. JAX executes the rates"):
             way(1.0)
 
 

@@ -89,11 +89,13 @@ def test_what_is_no_spline() -> None:
         Spline(2, rate=-1.0)
     with pytest.raises(tx.ShapeError, match="rate of 'u' expects shape"):
         problem(Spline(2, rate=[1.0, 2.0]))
-    with pytest.raises(tx.ModelError, match="reads the rate of rate of u, which is held"):
+    with pytest.raises(tx.ModelError, match="reads the rate of rate of u, but the control is piecewise constant"):
         problem(Linear(), running=Rate(Rate(u)) ** 2)
     p, v = dynamics.states
     bent = tx.compile(tx.System(rates={p: v, v: u}, constraints={"bent": Rate(Rate(u)) <= 1.0}))
-    with pytest.raises(tx.ModelError, match=r"rate of rate of u, of a control of degree 1.\n  fix: .*Spline\(2\)"):
+    with pytest.raises(
+        tx.ModelError, match=r"rate of rate of u, which a spline of degree 1 does not have.\n  fix: .*Spline\(2\)"
+    ):
         Problem(bent, tx.Minimize(running=u**2), final_time=2.0, controls=Linear(), initial={"p": 0.0})
     assert problem({u: Spline(2)}, running=u**2 + Rate(u) ** 2 + 1e-3 * Rate(Rate(u)) ** 2).continuous.rates == {
         "rate of rate of u": 2

@@ -71,9 +71,9 @@ def test_what_goes_back_in_time_has_no_rollout() -> None:
     times = np.array([0.0, 1.0, 0.75, 1.0, 2.0, 2.5, 2.75, 3.0])
     solved = stated().solve()
     result = dataclasses.replace(solved, phases=(dataclasses.replace(solved.phases[0], ts=times),))
-    with pytest.raises(tx.TrajectoryError, match=r"node 2 is before node 1, at 0\.75 s"):
+    with pytest.raises(tx.TrajectoryError, match=r"node 2 at 0\.75 s is before node 1"):
         result.replay()
-    assert "no finer rollout: node 2 is before node 1" in result.explain()
+    assert "no finer rollout: replay: the times of nodes must increase, but node 2" in result.explain()
 
 
 def test_values_that_are_not_finite_are_said() -> None:
@@ -203,7 +203,10 @@ def test_a_baked_parameter_cannot_be_read_by_the_objective() -> None:
         ),
         (lambda problem: problem.solve_many(callbak=print), "solve_many has no argument 'callbak'"),
         (lambda _: Problem(None, guesses=3), r"Problem has no argument 'guesses'.*\n  fix: problem.solve\("),
-        (lambda problem: problem.solve(callback=tx.trajectory.Progress), r"got the class Progress.\n  fix: Progress\("),
+        (
+            lambda problem: problem.solve(callback=tx.trajectory.Progress),
+            r"got the class Progress.\n  fix: .*Progress\(",
+        ),
     ],
 )
 def test_arguments_that_stand_elsewhere_say_where(call: Any, text: str) -> None:

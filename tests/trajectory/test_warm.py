@@ -110,7 +110,7 @@ def test_a_warm_start_travels() -> None:
 
 
 BAD: list[tuple[dict[str, Any], str]] = [
-    ({"warm": 3.0}, "warm must be a result"),
+    ({"warm": 3.0}, "warm expects a result"),
     ({"warm": solution, "guess": {"p": 0.0}}, "leave out guess"),
 ]
 

@@ -1,1 +1,1 @@
-"""`python -m twistax demo`: a powered descent, checked, solved, simulated again, drawn and written as a table."""
+"""`python -m twistax demo`: a powered descent that is checked, solved, simulated, drawn and written as a table."""

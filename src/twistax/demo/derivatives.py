@@ -14,7 +14,7 @@ BAR, _STEP = 1e-8, 2e-3
 
 
 class DerivativeCheck(NamedTuple):
-    """The largest difference at any point, relative to the largest entry of its row."""
+    """The largest difference over all points, relative to the largest entry of the row."""
 
     points: int  # how many were tried
     rates: float  # and limits, by JAX's differentiation of the compiled system
@@ -28,9 +28,9 @@ class DerivativeCheck(NamedTuple):
 def check_derivatives(dynamics: tx.Dynamics, xs: dict[str, Any], us: dict[str, Any], h: float) -> DerivativeCheck:
     """Compare derivatives with respect to state, controls and length of an interval at several points.
 
-    A state moves by x (+) d, and ends are compared by the tangent between them. Columns are measured in the scales that
-    the leaves declare. The finite differences are central with two steps (error of fourth order). Points xs, us have a
-    leading axis; h is the length of the interval, s.
+    A state is perturbed by x (+) d, and ends are compared by the tangent between them. Columns are scaled by the scales
+    that the leaves declare. The finite differences are central with two steps (error of fourth order). Points xs, us
+    have a leading axis; h is the length of the interval, s.
     """
     n, sizes = dynamics.dimension, [math.prod(control.shape) for control in dynamics.controls]
     widths = [*(state.group.dimension for state in dynamics.states), *sizes]

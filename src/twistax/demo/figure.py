@@ -1,6 +1,6 @@
-"""A landing as a picture of the path with attitude, plume and cone and of every limit, and as a table.
+"""A landing as a figure of the path with attitude, plume, cone and all limits, and as a table.
 
-The picture needs matplotlib, the extra `plot`; imported when it is drawn.
+The figure needs matplotlib (extra `plot`), which is imported when it is drawn.
 """
 
 import csv
@@ -34,7 +34,7 @@ _PANELS = (
 
 
 def save_table(path: Path, descent: Descent) -> None:
-    """Write a descent as CSV, one line a sample, with units in the first line."""
+    """Write a descent as CSV, one line per sample, with units in the first line."""
     outputs, quaternions = descent.outputs, np.asarray(jax.vmap(tx.lie.quaternion)(descent.rotation))
     columns: dict[str, Any] = {
         "time (s)": descent.ts,

@@ -1,6 +1,7 @@
-"""`python -m twistax demo`: land a rocket and say how well. An example that uses public names alone.
+"""`python -m twistax demo`: land a rocket and report the result. An example that uses only public names.
 
-A powered descent is compiled, its derivatives are checked, it is solved, simulated again, drawn and written as a table.
+A powered descent is compiled, its derivatives are checked, it is solved, simulated with the optimal controls, drawn and
+written as a table.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ _SIMULATED = (tx.trajectory.Status.SOLVED, tx.trajectory.Status.COARSE, tx.traje
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Compile, check, solve, simulate, draw and table.
+    """Compile, check, solve, simulate, draw and write the table.
 
     Args:
         arguments: what `add_options` declares.
@@ -76,7 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
         burnt = f"{mass[0] - mass[-1]:,.0f} kg of propellant burnt"
         _say("landed", f"after {dense.ts[-1]:.2f} s with {mass[-1]:,.0f} kg; {burnt}")
         return 0
-    print("\nNo landing was found from this start; the best try was saved. What is wrong with it:")
+    print("\nNo landing was found from this start; the best try was saved. It violates:")
     print(*(f"  - {line}" for line in (result.message, *violated)), sep="\n")
     print("Another guess (--guess-seed 1), more --nodes or --max-iterations, or an easier --initial may help.")
     return 1
@@ -172,7 +173,7 @@ def _written(
 
 
 def describe_start(start: scene.Start, vehicle: scene.Lander) -> list[str]:
-    """Where the descent begins."""
+    """A text about the start of the descent."""
     offset, speed = np.linalg.norm(start.offset), np.linalg.norm(start.velocity)
     return [
         f"{vehicle.mass / 1e3:g} t, {start.height:g} m up, {offset:.0f} m off the pad, at {speed:.0f} m/s "
@@ -204,7 +205,7 @@ def describe_limits(reached: Sequence[Reach]) -> list[str]:
 def describe_failure(
     misses: Mapping[str, Miss], reached: Sequence[Reach], time: float, times: tuple[float, float]
 ) -> list[str]:
-    """What a try that is no landing violates, in words; nothing where all is well.
+    """A text about the limits that an unsuccessful try violates; empty if there are none.
 
     Args:
         time, times: the flight time and its limits, s.

@@ -1,4 +1,4 @@
-"""The options of the demo, and how a start is written on the command line."""
+"""The options of the demo, and the syntax of a start on the command line."""
 
 import argparse
 import math
@@ -58,10 +58,10 @@ _ITEMS: dict[str, tuple[str, int, float, str, Callable[..., bool]]] = {
 
 
 def parse_start(text: str) -> "Start":
-    """A start from `height=900,offset=400:150,...`; what is left out keeps its default.
+    """A start from `height=900,offset=400:150,...`; omitted items have their defaults.
 
     Raises:
-        argparse.ArgumentTypeError: a sentence about what is wrong.
+        argparse.ArgumentTypeError: a sentence that describes the error.
     """
     # Only the demo reads its start: the other commands and --help do not load the package.
     from ..scenes.powered_descent import Start
@@ -76,7 +76,7 @@ def parse_start(text: str) -> "Start":
             )
         field, count, unit, demand, holds = _ITEMS[name]
         if field in fields:
-            raise argparse.ArgumentTypeError(f"{name} is given twice")
+            raise argparse.ArgumentTypeError(f"{name} occurs twice")
         numbers = _numbers(name, value, count)
         if not holds(*numbers):
             raise argparse.ArgumentTypeError(f"{name} must {demand}, got {value}")

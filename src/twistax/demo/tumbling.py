@@ -15,7 +15,7 @@ SECONDS = 12.0
 
 
 def flown() -> tx.Solution:
-    """Twelve seconds of the box, with its energy and its angular momentum as outputs."""
+    """Twelve seconds of the motion of the box, with its energy and its angular momentum as outputs."""
     a, b, c = SIDES**2
     inertia = MASS / 12.0 * np.array([b + c, a + c, a + b])
     M = np.diag([MASS, MASS, MASS, *inertia])
@@ -26,7 +26,7 @@ def flown() -> tx.Solution:
 
 
 def draw(folder: Path) -> list[str]:
-    """Simulate it, draw it into the folder, and say in lines what was written or why not."""
+    """Simulate and draw it into the folder; returns lines that state what was written, or why not."""
     solution = flown()
     lines = [f"a box spun about its middle axis turns over, {int(solution.stats.steps)} steps of RKMK4"]
     try:

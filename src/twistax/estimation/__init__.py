@@ -1,4 +1,4 @@
-"""Estimators of states from measurements, on groups: filters, a smoother, and tests of their covariances."""
+"""Estimators of states from measurements, on groups: filters, smoothers, and consistency tests of their covariances."""
 
 from .consistency import Consistency, Verdict, consistency
 from .error_state_kalman import ErrorStateKalman

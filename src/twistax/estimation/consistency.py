@@ -1,4 +1,4 @@
-"""Is a covariance honest? Normalised errors against their chi-square distribution, over independent runs."""
+"""Consistency tests of a covariance: normalised errors over independent runs against their chi-square distribution."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..errors import InputError
 class Verdict(enum.Enum):
     """The result of a consistency test of a covariance.
 
-    CONSISTENT: the errors agree with the covariance. OPTIMISTIC: they are larger. PESSIMISTIC: they are
+    CONSISTENT: the errors agree with the covariance. OPTIMISTIC: the errors are larger. PESSIMISTIC: the errors are
     smaller. UNDECIDED: the number of runs is too small.
     """
 
@@ -31,13 +31,13 @@ class Consistency:
 
     Attributes:
         verdict: a `Verdict`.
-        level: of the confidence interval and of the band.
-        runs: how many independent runs there were.
-        ratio: the mean of the statistic over n; 1 for a consistent covariance.
+        level: the probability of the confidence interval and of the band.
+        runs: the number of independent runs.
+        ratio: the mean of the statistic divided by n; 1 for a consistent covariance.
         interval: the confidence interval of the ratio, from the spread of the means of the runs.
         mean: (k,) the mean over the runs at each time.
-        band: the interval of the mean at a single time with the probability `level`: quantiles of chi-square with
-            runs n degrees of freedom, over the number of runs.
+        band: the interval of the mean at a single time with the probability `level`: quantiles of the chi-square
+            distribution with (runs n) degrees of freedom, divided by the number of runs.
         inside: the fraction of times at which the mean is in the band.
     """
 
@@ -60,20 +60,21 @@ class Consistency:
 
 
 def consistency(statistic: Any, freedom: int, *, level: float = 0.95, tolerance: float = 0.25) -> Consistency:
-    """The test of normalised squared errors over independent runs.
+    """The consistency test of normalised squared errors over independent runs.
 
-    Errors of one run are correlated over time, so each run counts as one sample: its mean over time. The confidence
-    interval of the ratio, the mean of these samples over the degrees of freedom, is Student's. Above 1 the filter is
-    OPTIMISTIC, below 1 PESSIMISTIC. If it contains 1 and is no wider than $1 +- tolerance$, the filter is CONSISTENT;
-    else, and always from one run, the test is UNDECIDED.
+    Errors of one run are correlated over time, so each run counts as one sample: its mean over time. The ratio is the
+    mean of these samples divided by the degrees of freedom, and its confidence interval follows from Student's
+    distribution. If the interval is above 1, the filter is OPTIMISTIC; if it is below 1, PESSIMISTIC. If the interval
+    contains 1 and is no wider than $1 +- tolerance$, the filter is CONSISTENT; otherwise, and always with a single run,
+    the test is UNDECIDED.
 
     Args:
-        statistic: (runs, k) NEES or NIS, or (k,) of one run; NaN where there is none.
-        freedom: n, the length of the error; dimensionless.
-        level: probability of the interval and the band.
+        statistic: (runs, k) NEES or NIS, or (k,) for one run; NaN for missing values.
+        freedom: n, the dimension of the error.
+        level: probability of the confidence interval and of the band.
         tolerance: the largest half width of an interval that counts as evidence.
     Raises:
-        InputError: another shape, negative values, a level outside of (0, 1).
+        InputError: a statistic of another shape, negative values, a level outside of (0, 1).
 
     Source: Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), sec. 5.4.2.
     """
@@ -84,7 +85,7 @@ def consistency(statistic: Any, freedom: int, *, level: float = 0.95, tolerance:
     number("level", level, "a probability between 0 and 1", lambda p: 0.0 < p < 1.0)
     number("tolerance", tolerance, "a positive number", lambda w: w > 0.0)
     if values.ndim != 2 or not values.size or (values < 0.0).any():
-        raise InputError(f"statistic expects numbers that are not negative, of shape (runs, k), got {values.shape}")
+        raise InputError(f"statistic expects non-negative numbers of shape (runs, k), got {values.shape}")
     values = values[:, np.isfinite(values).all(axis=0)]
     if not values.size:
         raise InputError("statistic expects a time at which all runs have a finite value, got none")

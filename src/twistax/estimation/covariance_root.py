@@ -1,4 +1,4 @@
-"""Square roots of covariances, which may be singular and whose entries have units of their own."""
+"""Square roots of covariances, which may be singular and whose entries have different units."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import jax.numpy as jnp
 
 
 class CovarianceRoot(NamedTuple):
-    """A square root of a positive semidefinite P: `scale` by the triangular `factor` of its correlations.
+    """A square root of a positive semidefinite P: `scale` times the triangular `factor` of its correlation matrix.
 
-    Deviations that are zero stay zero; a round-off of the correlations is added, so the factor is never singular.
+    Deviations that are zero remain zero; a round-off is added to the correlations, so the factor is never singular.
     """
 
     scale: jax.Array
@@ -29,11 +29,11 @@ class CovarianceRoot(NamedTuple):
 
     @property
     def matrix(self) -> jax.Array:
-        """L with $L L^T = P$."""
+        """The matrix L with $L L^T = P$."""
         return self.scale[:, None] * self.factor
 
     def linear_map(self, slopes: jax.Array) -> jax.Array:
-        """H^T of the linear map with $H L = slopes^T$; zero for states that are known."""
+        """The transpose H^T of the linear map with $H L = slopes^T$; zero for known states."""
         safe = jnp.where(self.scale > 0.0, self.scale, 1.0)
         return jax.scipy.linalg.solve_triangular(self.factor, slopes, lower=True, trans=1) / safe[:, None]
 

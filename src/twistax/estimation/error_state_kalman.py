@@ -25,28 +25,28 @@ class ErrorStateKalman(Filter):
     """The extended Kalman filter on the group of the state, multiplicative (an MEKF) on rotations and poses.
 
     The state stays on the group; the covariance P is that of the error d with $x_true = x Exp(d)$, in the tangent space
-    at x. A prediction integrates the mean by the method and propagates the covariance, $P = Phi P Phi^T + Q$, Phi the
-    derivative of the step and Q by Van Loan. An update is
+    at x. A prediction integrates the mean by the method and propagates the covariance, $P = Phi P Phi^T + Q$, with Phi
+    the derivative of the step and Q by Van Loan's method. An update is
 
         $S = H P H^T + R, K = P H^T S^-1, d = K Log(h(x)^-1 z),$
         $x = x Exp(d), P = J_r(d) ((I - K H) P (I - K H)^T + K R K^T) J_r(d)^T$,
 
-    in Joseph's form, symmetric. The right Jacobian J_r(d) transforms the covariance to the tangent space at the new
+    in Joseph's symmetric form. The right Jacobian J_r(d) transforms the covariance to the tangent space at the new
     state.
 
     Args:
         dynamics: the compiled system, with `tx.Noise` in its rates.
-        measurements: `tx.Measurement` each.
-        method: of the mean; RKMK with RK4 if left out.
-        max_step: the longest step of a prediction in s; one step between two times if left out.
-        gate: a probability. A measurement is used only if its normalised innovation squared lies below that quantile of
-            chi-square.
-        noise: how continuous noise becomes the covariance of a step: `VanLoan()`, the default, or `Trapezoidal()`.
-        reset: (group, d) -> (n, n), the transformation of covariances to the new state; the default is
+        measurements: the models of the sensors, a `tx.Measurement` each.
+        method: the integration method of the mean; RKMK with RK4 by default.
+        max_step: the longest step of a prediction in s; by default there is one step between two times.
+        gate: a probability. A measurement is used only if its normalised innovation squared is below the chi-square
+            quantile of this probability.
+        noise: the discretisation of continuous noise: `VanLoan()`, the default, or `Trapezoidal()`.
+        reset: a function (group, d) -> (n, n), the transformation of covariances to the new state; the default is
             `group.right_jacobian(d)`, which is exact to first order.
     Raises:
         ModelError: two measurements of one name, a state or control that the system does not have, a noise both in
-            rates and in measurements, a gate outside of (0, 1), a reset that is no function of two arguments.
+            rates and in measurements, a gate outside of (0, 1), a reset that is not a function of two arguments.
 
     Example: `tx.estimation.ErrorStateKalman(dynamics, [gps]).run({"gps": (times, positions)}, x0, P0)`.
 
@@ -86,27 +86,27 @@ class ErrorStateKalman(Filter):
         dtype: Any = np.float64,
         tolerance: float | None = None,
     ) -> CFiles:
-        """Write C99 code: Write `name.h` with the calling convention, `name.c`, and `name_test.c` with reference
-        values.
+        """Write C99 code: `name.h` with the interface, `name.c`, and `name_test.c` with reference values.
 
         `name_predict` takes time, states, controls, parameters, P and the step size h, and returns the states and P
         after the step. `name_update_gps` takes the value of the measurement "gps", and returns states, P and the
-        normalised innovation squared; beyond the gate states and P are unchanged. They compute `predict` and `update`
-        of this filter, allocate no memory and need only libm. Only the lower triangle of P is read. The filter needs
-        `noise=tx.estimation.Trapezoidal()`.
+        normalised innovation squared; if that is beyond the gate, states and P are unchanged. They compute `predict`
+        and `update` of this filter, allocate no memory and need only libm. Only the lower triangle of P is read. The
+        filter needs `noise=tx.estimation.Trapezoidal()`.
 
         Args:
-            directory: where to; made if it is not there.
-            name: of the files, and what the names of all functions begin with.
-            dtype: float64 or float32, the numbers of the code, whatever JAX's x64 switch says.
-            tolerance: of the comparison in the test, relative to the largest entry of a function; 1e-10, or 1e-4 for
-                float32.
+            directory: the folder of the files, which is created if missing.
+            name: the name of the files, and the prefix of all functions.
+            dtype: float64 or float32, the precision of the code, independent of JAX's x64 setting.
+            tolerance: tolerance of the test's comparison, relative to the largest entry of a function; by default
+                1e-10, or 1e-4 for float32.
         Returns:
-            The paths: `header`, `source`, `test`.
+            The paths `header`, `source` and `test`.
         Raises:
-            ModelError: a part has no scalar form, as the exponential of `VanLoan()`; two names become one in C.
-            InputError: a name or type that C has not; the directory cannot be written to, or holds other files of
-                those names.
+            ModelError: a part that has no scalar form, such as the exponential of `VanLoan()`; two names that become
+                the same in C.
+            InputError: a name that is not a C identifier, or another dtype; a directory that is not writable, or that
+                contains other files of these names.
         """
         from .filter_code import write_filter
 

@@ -1,4 +1,4 @@
-"""The interface of filters: one prediction, one update, and a run over records."""
+"""The interface of filters: predictions, updates, and runs over records."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ from .update import Update
 
 
 class Estimate(NamedTuple):
-    """The estimate $x_true = x Exp(d)$: x the states by name, P (n, n) the covariance of d, in squares of its units."""
+    """The estimate $x_true = x Exp(d)$: states x by name, and the covariance P (n, n) of d, in squares of its units."""
 
     x: Arrays
     P: jax.Array
 
 
 class Prediction(NamedTuple):
-    """The estimate x, P before a measurement, and the transition (n, n), $d(t + h) = Phi d(t)$, of errors to it."""
+    """The estimate x, P before a measurement, and the transition matrix Phi (n, n) of errors, $d(t + h) = Phi d(t)$."""
 
     x: Arrays
     P: jax.Array
@@ -45,7 +45,7 @@ class Prediction(NamedTuple):
 
 
 class RunStages(NamedTuple):
-    """The arguments of a run: times (k,), lengths hs of the intervals that end there, their controls, and the start."""
+    """The arguments of a run: times (k,), lengths hs of the intervals before them, controls, and the start."""
 
     timeline: Timeline
     ts: jax.Array
@@ -62,11 +62,11 @@ class Filter(ABC):
     Args:
         dynamics: the compiled system.
         measurements: the models of the sensors, a `Measurement` each.
-        method: of the mean; RKMK with RK4 if left out.
-        max_step: the longest step of a prediction in s; one step between two times of a run if left out.
-        gate: a probability: a measurement is used only if its normalised innovation squared is below that quantile of
-            chi-square; all are used if left out.
-        noise: how continuous noise becomes the covariance of a step: `VanLoan()`, the default, or `Trapezoidal()`.
+        method: the integration method of the mean; RKMK with RK4 by default.
+        max_step: the longest step of a prediction in s; by default there is one step between two times of a run.
+        gate: a probability: a measurement is used only if its normalised innovation squared is below the chi-square
+            quantile of this probability. By default all measurements are used.
+        noise: the discretisation of continuous noise: `VanLoan()`, the default, or `Trapezoidal()`.
     Raises:
         ModelError: two measurements of one name, a state or control that the system does not have, a noise both in
             rates and in measurements, a gate outside of (0, 1).
@@ -97,9 +97,9 @@ class Filter(ABC):
         in_arrays.model = self.model.in_arrays
         return in_arrays
 
-    # ---- what a filter is --------------------------------------------------------------------------------------------
+    # ---- methods that define a filter --------------------------------------------------------------------------------
 
-    #: Whether its algebra has a scalar form, so that steps are kernels, and C.
+    #: Whether the filter has a scalar form, so that its steps can be compiled as kernels and exported to C.
     in_scalars: ClassVar[bool] = True
 
     @abstractmethod
@@ -108,14 +108,14 @@ class Filter(ABC):
 
     @abstractmethod
     def corrected(self, name: str, point: OperatingPoint, P: jax.Array, z: jax.Array, limit: float | None) -> Update:
-        """The estimate after a measurement whose normalised innovation is below the limit."""
+        """The estimate after a measurement, if its normalised innovation squared is below the limit."""
 
     def factored(self, P: jax.Array) -> jax.Array:
-        """The form of the covariance that `propagated` and `corrected` take and return: here the covariance itself."""
+        """The form of the covariance that `propagated` and `corrected` use: by default the covariance itself."""
         return P
 
     def multiplied(self, factor: jax.Array) -> jax.Array:
-        """The covariance from that."""
+        """The covariance from `factor`. They are equal, except in filters with a square root of the covariance."""
         return factor
 
     def _with_covariance(self, step: Any) -> Any:
@@ -156,10 +156,10 @@ class Filter(ABC):
         """The estimate h seconds after t, with constant controls. Traceable.
 
         Args:
-            P: (n, n) covariance in the tangent space at x; a number or (n,) for a diagonal one.
+            P: (n, n) covariance in the tangent space at x; or a number or (n,) for a diagonal one.
             h: s.
         Raises:
-            InputError, ShapeError: as a call of the dynamics does; a covariance of another shape.
+            InputError, ShapeError: the errors of a call of the dynamics; a covariance of another shape.
         """
         point = self._point(t, x, u, params, True, ())
         return self._jitted_predict(point, self._covariance(P, point), jnp.asarray(number("h", h), point.t.dtype))
@@ -167,10 +167,11 @@ class Filter(ABC):
     def update(
         self, name: str, t: Any, x: Values, P: Any, z: Any, u: Values | None = None, params: Values | None = None
     ) -> Update:
-        """The estimate after the value z of a measurement at time t; unchanged where z is not finite. Traceable.
+        """The estimate after the value z of a measurement at time t; unchanged if z is not finite. Traceable.
 
         Raises:
-            InputError, ShapeError: as a call of the dynamics does; an unknown measurement; a value of another shape.
+            InputError, ShapeError: the errors of a call of the dynamics; an unknown measurement; a value of another
+                shape.
         """
         known = self.model.measurements
         if name not in known:
@@ -201,10 +202,10 @@ class Filter(ABC):
             records: for each measurement a pair (times (k,), values (k, *shape)), with the times in any order. A row
                 with a NaN is a missing measurement. Times are concrete numbers.
             x0, P0: the estimate at t0, before any measurement.
-            t0: s; the first time of the records and of `save_at` if left out.
-            u: controls: constants, tables such as `tx.ZeroOrderHold`, or a function of t that gives a dict. They are
-                held over each step, with their value in its middle; a step ends where a table jumps.
-            save_at: more times of the estimate, in s.
+            t0: time of the initial estimate, s; by default the first time of the records and of `save_at`.
+            u: controls: constants, tables such as `tx.ZeroOrderHold`, or a function of t that returns a dict. They are
+                constant over each step, with their value at its midpoint. A step ends at a jump of a table.
+            save_at: additional times of the estimate, in s.
         Raises:
             InputError, ShapeError: records, estimates or controls that do not fit the filter; a covariance P0 that is
                 not positive semidefinite.
@@ -226,15 +227,15 @@ class Filter(ABC):
         u: Mapping[str, Any] | Callable[[Any], Mapping[str, Any]] | None = None,
         params: Values | None = None,
     ) -> str:
-        """The observability of the system along a motion with measurements at some times, as text.
+        """The observability of the system along a motion with measurements at given times, as text.
 
-        The Gramian is evaluated along the motion from x0 without noise, so its rank is that of the system. No data are
-        needed. `FilterRun.observability` is the Gramian of a run.
+        The Gramian is evaluated along the motion from x0 without noise, so its rank is that of the system. It needs no
+        data. `FilterRun.observability` is the Gramian of a run.
 
         Args:
-            times: by measurement, (k,) in s.
-            x0, t0, u, params: as of `run`.
-        Raises: InputError, ShapeError: as `run`.
+            times: times by measurement, (k,) in s.
+            x0, t0, u, params: as for `run`.
+        Raises: InputError, ShapeError: the errors of `run`.
         """
         one = {name: m.group.identity(float) for name, m in self.model.measurements.items()}
         records = {
@@ -372,7 +373,7 @@ class Filter(ABC):
         controls = [leaf.name for leaf in model.dynamics.controls]
         for name in u:
             if name not in controls:
-                raise InputError(f"unknown key {name!r} in u; expected: {listed(controls, name)}")
+                raise InputError(f"unknown key {name!r} in u; the controls are: {listed(controls, name)}")
         dtype = precision(x, u, params, {"t": t})
         functions = model.noisy.functions.with_outputs(model.names(rates, measurements))
         reads = ("rates", "outputs") if rates else ("outputs",)

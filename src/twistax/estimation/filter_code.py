@@ -1,4 +1,4 @@
-"""A filter as C99: a prediction, and an update for each measurement."""
+"""A filter as C99 code: a prediction, and an update for each measurement."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def write_filter(kalman: Filter, directory: str | Path, *, name: str, dtype: Any
         functions.append(_update(in_arrays, exporter, measurement))
         if functions[-1].name in [function.name for function in functions[:-1]]:
             raise ModelError(
-                f"two measurements would be called {functions[-1].name} in C.\n  fix: rename {measurement!r}"
+                f"two measurements would have the name {functions[-1].name} in C.\n  fix: rename {measurement!r}"
             )
     return write_functions(exporter, functions, directory, name=name, points=None, tolerance=tolerance)
 

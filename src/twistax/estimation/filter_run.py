@@ -1,4 +1,4 @@
-"""What a run of a filter returns: estimates, innovations, and what they say of the filter."""
+"""The result of a filter run: estimates, innovations, and consistency and observability tests."""
 
 from __future__ import annotations
 
@@ -29,9 +29,10 @@ class Innovations:
 
     Attributes:
         ts: (k,) times in s.
-        residual: (k, m) $Log(h^-1 z)$; zero where the record is missing.
+        residual: (k, m) $Log(h^-1 z)$; zero for a missing record.
         S: (k, m, m), their covariances.
-        nis: (k,) $r^T S^-1 r$, of mean m and chi-square distribution for a consistent linear filter.
+        nis: (k,) normalised innovation squared $r^T S^-1 r$; for a consistent linear filter it has the chi-square
+            distribution with mean m.
         used: (k,) whether the record was present and passed the gate.
         present: (k,) whether the record was present.
     """
@@ -47,7 +48,7 @@ class Innovations:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class FilterRun:
-    """The estimates of a filter over records. A pytree; `jax.vmap` over runs puts an axis in front of its arrays.
+    """The estimates of a filter over records. A pytree; `jax.vmap` over runs adds a leading axis to its arrays.
 
     Attributes:
         ts: (k,) times in s.
@@ -56,9 +57,9 @@ class FilterRun:
         prior_xs, prior_P: the same before the measurements.
         transitions: (k, n, n), the transition matrices of errors from the previous time.
         information: (k, n, n) $H^T R^-1 H$ of the measurements used.
-        innovations: by measurement, `Innovations`.
-        log_likelihood: of all measurements used.
-        group: of the state.
+        innovations: by measurement, its `Innovations`.
+        log_likelihood: log-likelihood of all measurements used.
+        group: the group of the state.
     """
 
     ts: jax.Array
@@ -103,7 +104,7 @@ class FilterRun:
         if (result := self.result) != "successful":
             raise EstimationError(
                 f"the run of the filter is {result}.\n"
-                "  fix: shorter steps, max_step=...; other units; a larger covariance of noise and measurements"
+                "  fix: use shorter steps (max_step=...), other units, or a larger covariance of noise and measurements"
             )
 
     def deviations(self) -> Arrays:
@@ -130,19 +131,19 @@ class FilterRun:
 
     @watching("errors")
     def nees(self, truth: Mapping[str, Any]) -> jax.Array:
-        """The normalised estimation error squared $e^T P^-1 e$, (k,); of mean n for a consistent covariance.
+        """The normalised estimation error squared (NEES) $e^T P^-1 e$, (k,), with mean n for a consistent covariance.
 
-        Raises: InputError, ShapeError as `errors`.
+        Raises: InputError, ShapeError: the errors of `errors`.
         """
         errors = self.errors(truth)
         return jnp.sum(errors * jnp.linalg.solve(self.P, errors[..., None])[..., 0], axis=-1)
 
     def consistency(self, truth: Mapping[str, Any], *, level: float = 0.95, tolerance: float = 0.25) -> Consistency:
-        """The verdict on the covariance, from true states; UNDECIDED for one run. See `consistency`."""
+        """The consistency test of the covariance with true states; UNDECIDED for one run. See `consistency`."""
         return consistency(np.asarray(self.nees(truth)), self.group.dimension, level=level, tolerance=tolerance)
 
     def innovation_consistency(self, name: str, *, level: float = 0.95, tolerance: float = 0.25) -> Consistency:
-        """The same test with the innovations of one measurement, where the true states are unknown.
+        """The consistency test with the innovations of one measurement, which needs no true states.
 
         Raises: InputError for an unknown measurement.
         """
@@ -165,11 +166,11 @@ class FilterRun:
         """The observability Gramian of the measurements along the run, with the unobservable directions at its start.
 
         The matrices are evaluated at the estimates, which change with each measurement. So the rank of a filter may be
-        higher than that of the system; evaluated at true states it is that of the system.
+        higher than that of the system; evaluated at true states, it is that of the system.
 
         Args:
-            tolerance: eigenvalues of the scaled Gramian below it, relative to the largest, count as zero; the round-off
-                of the precision times 100 n if left out.
+            tolerance: eigenvalues of the scaled Gramian below this value, relative to the largest, count as zero; by
+                default 100 n times the machine epsilon.
         Raises: InputError for several runs at once.
         """
         if self.ts.ndim != 1:

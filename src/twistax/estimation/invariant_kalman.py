@@ -1,4 +1,4 @@
-"""The invariant extended Kalman filter, and the measure of what it relies on."""
+"""The invariant extended Kalman filter, and a test of its assumption that the system is group-affine."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from .process_noise import NoiseDiscretization
 
 
 class Invariance(enum.Enum):
-    """The side of the error of an invariant filter.
+    """The choice between left-invariant and right-invariant errors of an invariant filter.
 
     LEFT: $x_true = x Exp(e)$, for measurements in world axes, such as a position. RIGHT: $x_true = Exp(e) x$, for
         measurements in body axes, such as the direction of a landmark.
@@ -35,21 +35,22 @@ class Invariance(enum.Enum):
 class InvariantKalman(ErrorStateKalman):
     """The invariant extended Kalman filter: the error-state filter without a reset of the covariance.
 
-    For a group-affine system the transition of the invariant error e does not depend on the estimate, and Exp(e) is
-    propagated exactly for any size of e. So the covariance of e does not change when the estimate is corrected: $P = (I
+    For a group-affine system the transition matrix of the invariant error e does not depend on the estimate, and the
+    error is propagated exactly for any size of e. So the covariance of e is not transformed when the estimate is
+    corrected: $P = (I
     - K H) P (I - K H)^T + K R K^T$ in the tangent space of e.
 
-    `run.P` and P0 are those of right perturbations, $x_true = x Exp(d)$, as of all filters here. With LEFT e is d. With
-    RIGHT $e = Ad_x d$ has the covariance $Ad_x P Ad_x^T$. The reset of P by $Ad_Exp(-d)$ keeps this covariance
-    constant. To first order the filters of both sides agree; they differ by the square of the correction.
+    `run.P` and P0 are those of right perturbations, $x_true = x Exp(d)$, as in all filters here. With LEFT, e equals d.
+    With RIGHT, $e = Ad_x d$ has the covariance $Ad_x P Ad_x^T$; the reset of P by $Ad_Exp(-d)$ keeps this covariance
+    constant. To first order both filters agree; they differ by the square of the correction.
 
     Use one state on `tx.ExtendedPose` for attitude, velocity and position; as three states they are not group-affine.
 
     Args:
-        dynamics, measurements, method, max_step, gate, noise: as of `ErrorStateKalman`.
+        dynamics, measurements, method, max_step, gate, noise: as for `ErrorStateKalman`.
         invariance: `Invariance.LEFT` or `Invariance.RIGHT`.
     Raises:
-        ModelError: what `ErrorStateKalman` refuses.
+        ModelError: the errors of `ErrorStateKalman`.
 
     Example: `tx.estimation.InvariantKalman(dynamics, [gps]).affinity()` tests whether the system is group-affine.
 
@@ -75,7 +76,7 @@ class InvariantKalman(ErrorStateKalman):
         self.invariance = invariance
 
     def affinity(self, u: Values | None = None, params: Values | None = None, *, seed: int = 0) -> GroupAffinity:
-        """Whether the system is group-affine, as `group_affinity` measures it."""
+        """The test whether the system is group-affine, by `group_affinity`."""
         return group_affinity(self.model.dynamics, u, params, seed=seed)
 
 
@@ -89,13 +90,13 @@ def _transported(group: Product, d: jax.Array) -> jax.Array:
 
 @dataclasses.dataclass(frozen=True)
 class GroupAffinity:
-    """Whether the rates of a system are group-affine.
+    """The result of `group_affinity`: whether the rates of a system are group-affine.
 
     Attributes:
-        affine: whether they are, to round-off.
+        affine: whether they are group-affine, to round-off.
         defect: $max |f(a b) - f(b) - Ad_b^-1 (f(a) - f(e))| / max |f|$, dimensionless.
-        fixed: the fewest states with vector values that are to be constants for the rest to be group-affine, such as
-            biases; empty where `affine`, None where no such states help.
+        fixed: the smallest set of vector-valued states that must be constant to make the other rates group-affine, such
+            as biases; empty if `affine`, None if there is no such set.
     """
 
     affine: bool
@@ -112,7 +113,7 @@ class GroupAffinity:
 def group_affinity(
     dynamics: Dynamics, u: Values | None = None, params: Values | None = None, *, seed: int = 0
 ) -> GroupAffinity:
-    """Whether the rates f of a system are group-affine.
+    """Test whether the rates f of a system are group-affine.
 
     For all states a and b they satisfy $f(a b) = f(b) + Ad_b^-1 (f(a) - f(e))$, e the neutral element and f body
     velocities. This holds if and only if the rates of the errors $a^-1 b$ depend on the errors alone. It is evaluated
@@ -120,14 +121,14 @@ def group_affinity(
 
     Args:
         u: controls.
-        params: parameters; those with values may be left out.
-        seed: of the random states, dimensionless.
-    Raises: ModelError, InputError as a call of the dynamics does.
+        params: parameter values; those with default values are optional.
+        seed: seed of the random states.
+    Raises: ModelError, InputError: the errors of a call of the dynamics.
 
     Example: `print(tx.estimation.group_affinity(dynamics))`.
 
     Source: Barrau, Bonnabel, The invariant extended Kalman filter as a stable observer, IEEE TAC 62 (2017), theorem 1,
-    in body velocities.
+    here for body velocities.
     """
     need_compiled("group_affinity", dynamics)
     rng = np.random.default_rng(seed)

@@ -1,4 +1,4 @@
-"""What a sensor measures: an expression, the group of its values, and the covariance of its errors."""
+"""The model of a sensor: an expression, the group of its values, and the covariance of its errors."""
 
 from __future__ import annotations
 
@@ -15,17 +15,18 @@ from ..groups import SE3, SO3, Euclidean, Group
 
 @dataclasses.dataclass(frozen=True, eq=False, init=False)
 class Measurement:
-    """A measurement $z = h(x) Exp(v)$ with errors v of mean zero; in $R^m$ $z = h(x) + v$.
+    """A measurement $z = h(x) Exp(v)$ with zero-mean errors v; on $R^m$ it is $z = h(x) + v$.
 
     The residual of a filter is $Log(h(x)^-1 z)$, in the tangent space of the values.
 
     Args:
-        name: unique among the measurements of a filter.
-        value: the expression h, of states, controls, parameters and `tx.Noise`.
-        covariance: of v, in squares of the unit of the value, of rad for angles: a number, one for each entry of the
-            tangent, (m,), or a symmetric positive definite matrix (m, m). Numbers, a Parameter or an expression.
+        name: the name, unique among the measurements of a filter.
+        value: the expression h of states, controls, parameters and `tx.Noise`.
+        covariance: covariance of v, in squares of the unit of the value, or of rad for angles: a number, an array (m,)
+            of variances of the tangent's entries, or a symmetric positive definite matrix (m, m). Numbers, a Parameter
+            or an expression.
         period: time between samples in s. A Noise of density S in the value has the covariance $S S^T / period$.
-        group: the group of the values; SO3 or SE3 where the expression is a rotation or a pose, else $R^m$.
+        group: the group of the values. By default SO3 or SE3 if the expression is a rotation or a pose, else $R^m$.
     Raises:
         ShapeError: the covariance has another shape; the value does not have the shape of the group.
         ModelError: the covariance is not symmetric positive definite; there is neither a covariance nor a Noise; a
@@ -51,7 +52,7 @@ class Measurement:
         place = f"Measurement {name!r}"
         expr = to_expr(value)
         if expr.boolean:
-            raise ModelError(f"{place} expects numbers, got {expr!r}, which is true or false")
+            raise ModelError(f"{place} expects a numerical expression, got the condition {expr!r}")
         group = _group(place, expr, group)
         noises = tuple(leaf for leaf in leaves_of(expr) if isinstance(leaf, Noise))
         if period is not None:
@@ -59,10 +60,13 @@ class Measurement:
         if noises and period is None:
             raise ModelError(
                 f"{place} has the continuous noise {noises[0].name!r}, so it needs the time between its samples.\n"
-                "  fix: period=..., in s"
+                "  fix: pass period=..., in s"
             )
         if covariance is None and not noises:
-            raise ModelError(f"{place} expects the covariance of its errors.\n  fix: covariance=..., or a tx.Noise")
+            raise ModelError(
+                f"{place} expects the covariance of its errors.\n"
+                "  fix: pass covariance=..., or use a tx.Noise in the value"
+            )
         checked = None if covariance is None else covariance_of(f"{place}: covariance", covariance, group.dimension)
         fields = {"name": name, "value": expr, "covariance": checked, "period": period}
         for field, content in {**fields, "group": group, "noises": noises}.items():
@@ -83,7 +87,7 @@ def _group(place: str, value: Expr, group: Group | None) -> Group:
 
 
 def covariance_of(place: str, value: Any, size: int) -> Expr:
-    """A covariance as an expression, checked as far as it is known. Raises ShapeError, ModelError."""
+    """A covariance as an expression, checked if its value is known. Raises ShapeError, ModelError."""
     expr = value if isinstance(value, Expr) else to_expr(reals(place, value, ModelError))
     if expr.shape not in ((), (size,), (size, size)):
         raise ShapeError(f"{place} expects a number, shape ({size},) or ({size}, {size}), got {expr.shape}")
@@ -94,7 +98,7 @@ def covariance_of(place: str, value: Any, size: int) -> Expr:
 
 
 def check_definite(place: str, value: np.ndarray, size: int, error: type[Exception], *, semi: bool = False) -> None:
-    """Raise the error unless numbers make a symmetric matrix that is positive definite, or semidefinite."""
+    """Raise the error unless a numeric matrix is symmetric and positive definite, or semidefinite."""
     matrix = np.asarray(value, float)
     if matrix.ndim < 2:
         matrix = np.diag(np.broadcast_to(matrix, (size,)))

@@ -1,4 +1,4 @@
-"""What measurements tell of a state: the Gramian along a run, its rank, and the combinations that they cannot tell."""
+"""Observability: the Gramian along a run, its rank, and the unobservable combinations of the state."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ import numpy as np
 class Observability:
     """The observability Gramian at the start of a run, $W = sum_k Phi_k0^T H_k^T R_k^-1 H_k Phi_k0$.
 
-    Its entries have units, so rank and condition are those of the Gramian scaled to a diagonal of ones.
+    Its entries have different units, so rank and condition number are those of the Gramian scaled to a unit diagonal.
 
     Attributes:
         gramian: (n, n).
         rank: the number of observable combinations of the initial state.
-        condition: the largest eigenvalue of the scaled Gramian over the smallest one that is not zero.
-        unobservable: the unobservable combinations, such as "r[2]" or "b + 0.5 c", one for each missing rank.
+        condition: the condition number of the scaled Gramian: its largest eigenvalue over the smallest nonzero one.
+        unobservable: names of the unobservable combinations, such as "r[2]" or "b + 0.5 c"; there are n - rank of them.
     """
 
     gramian: np.ndarray
@@ -35,12 +35,12 @@ class Observability:
 def observability(
     transitions: np.ndarray, information: np.ndarray, labels: Sequence[str], tolerance: float
 ) -> Observability:
-    """The Gramian from the transition matrices and the information of the measurements at the times of a run.
+    """The Gramian from the transition matrices and the information matrices of the measurements at the times of a run.
 
     Args:
-        transitions: (k, n, n), each from the time before; information: (k, n, n) $H^T R^-1 H$.
-        labels: a name for each entry of a tangent.
-        tolerance: eigenvalues of the scaled Gramian below it, relative to the largest, count as zero.
+        transitions, information: (k, n, n) transition matrices, each from the previous time; (k, n, n) $H^T R^-1 H$.
+        labels: the name of each entry of a tangent.
+        tolerance: eigenvalues of the scaled Gramian below this value, relative to the largest, count as zero.
 
     Source: Maybeck, Stochastic Models, Estimation, and Control, vol. 1 (1979), sec. 1.8.
     """
@@ -61,7 +61,7 @@ def observability(
 
 
 def reduced(rows: np.ndarray) -> np.ndarray:
-    """A basis of the same space with as many zeros as elimination makes, each row with a largest entry of 1."""
+    """A basis of the same space that is sparse by elimination; the largest entry of each row is 1."""
     rows = rows / np.abs(rows).max(axis=1, initial=0.0, keepdims=True)
     for used in range(len(rows)):
         column = int(np.argmax(np.abs(rows[used:]).max(axis=0)))
@@ -74,7 +74,7 @@ def reduced(rows: np.ndarray) -> np.ndarray:
 
 
 def named(row: np.ndarray, labels: Sequence[str]) -> str:
-    """A combination by names, its largest coefficient 1; what is below 1e-6 of it is left out."""
+    """A combination as text, with 1 as its largest coefficient; coefficients below 1e-6 are omitted."""
     terms = []
     for value, label in zip(normalized(row), labels):
         if abs(value) > 1e-6:
@@ -84,5 +84,7 @@ def named(row: np.ndarray, labels: Sequence[str]) -> str:
 
 
 def normalized(row: np.ndarray) -> np.ndarray:
-    """A combination with a largest coefficient of 1; of equal ones the first, whatever their round-off."""
+    """A combination scaled to a largest coefficient of 1; of equal coefficients the first one is chosen, regardless of
+    round-off.
+    """
     return np.asarray(row / row[np.argmax(np.abs(row) > (1.0 - 1e-6) * np.abs(row).max())])

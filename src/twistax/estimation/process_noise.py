@@ -1,4 +1,4 @@
-"""The covariance of the noise of a prediction."""
+"""The discretisation of process noise: its covariance over a prediction."""
 
 from __future__ import annotations
 
@@ -18,27 +18,28 @@ LocalNoise: TypeAlias = Callable[[float], tuple[jax.Array, jax.Array]]
 
 
 class NoiseDiscretization(ABC):
-    """The covariance Q of a prediction, $P = Phi P Phi^T + Q$, from continuous noise.
+    """The interface of discretisations: the covariance Q of a prediction, $P = Phi P Phi^T + Q$, from continuous noise.
 
-    Q is (n, n), in products of the units of a tangent.
+    Q is (n, n), in products of the units of the tangent.
 
     Raises: nothing.
     """
 
-    #: Whether it has no loop, so that a prediction is one kernel, and C.
+    #: Whether it contains no loop, so that a prediction can be compiled as one kernel and exported to C.
     in_scalars: ClassVar[bool] = True
 
     @abstractmethod
     def covariance(self, local: LocalNoise, transition: jax.Array, h: jax.Array) -> jax.Array:
-        """Q (n, n) of a step of h seconds, by its transition matrix (n, n)."""
+        """The covariance Q (n, n) of a step of h seconds, with the transition matrix (n, n) of the step."""
 
 
 @dataclasses.dataclass(frozen=True)
 class VanLoan(NoiseDiscretization):
-    """$Q = int_0^h exp(F s) G W G^T exp(F s)^T ds$ with F, G and the intensity W in the middle of the step.
+    """The covariance $Q = int_0^h exp(F s) G W G^T exp(F s)^T ds$, with F, G and the intensity W at the midpoint of the
+    step.
 
-    Exact for a linear system with constant coefficients, to the accuracy of a matrix exponential, also where decays are
-    much faster than the step. NaN where the norm of F h is more than about 5e9, in single precision 1e11.
+    It is exact for a linear system with constant coefficients, to the accuracy of a matrix exponential, also if decay
+    rates are much faster than the step. NaN if the norm of F h exceeds about 5e9, in single precision 1e11.
 
     Raises: nothing.
 
@@ -55,10 +56,9 @@ class VanLoan(NoiseDiscretization):
 
 @dataclasses.dataclass(frozen=True)
 class Trapezoidal(NoiseDiscretization):
-    """$Q = h / 2 (Phi G_0 W_0 G_0^T Phi^T + G_1 W_1 G_1^T)$, the trapezoidal rule of the same integral.
+    """The covariance $Q = h / 2 (Phi G_0 W_0 G_0^T Phi^T + G_1 W_1 G_1^T)$, the trapezoidal rule for the same integral.
 
-    Its error is proportional to the third power of h in s. It needs a few sums in place of a matrix exponential, so
-    filters in C use it.
+    Its error is proportional to h^3. It needs a few sums in place of a matrix exponential, so filters in C use it.
 
     Raises: nothing.
 
@@ -79,15 +79,15 @@ _MOST_DOUBLINGS = 40
 
 
 def gramian(A: jax.Array, W: jax.Array) -> jax.Array:
-    """$int_0^1 exp(A s) W exp(A s)^T ds$ (n, n), for a symmetric W.
+    """The integral $int_0^1 exp(A s) W exp(A s)^T ds$ (n, n), for a symmetric W.
 
-    By its Taylor series over 2^-k of the interval, which is doubled k times,
+    It is computed by its Taylor series over 2^-k of the interval, which is doubled k times,
 
         $Q(2 s) = Q(s) + Phi Q(s) Phi^T, Phi(2 s) = Phi(s)^2, Phi = exp(A s)$.
 
-    The number k follows from the value of A, so that the series is exact to round-off. Phi - 1 is what is carried, so
-    doublings that were not needed cost no digits. No exponential grows that does not grow in the integral, as
-    exp(-A s) does in Van Loan's block matrix.
+    The number k follows from the value of A, so that the series is exact to round-off. The recursion uses Phi - 1, so
+    unnecessary doublings lose no accuracy. In contrast to exp(-A s) in Van Loan's block matrix, no exponential grows
+    that does not grow in the integral.
     """
     square = A @ A
     norms = (jnp.max(jnp.sum(jnp.abs(M), axis=0)) for M in (A, square, A @ square))

@@ -1,4 +1,4 @@
-"""Measurements with times of their own, on one timeline."""
+"""Records of measurements with separate times, merged into one timeline."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ Records = Mapping[str, tuple[Any, Any]]
 
 
 class Timeline(NamedTuple):
-    """The times of a run, in order, and what is measured there.
+    """The times of a run, in order, and the measurements at these times.
 
     Attributes:
-        ts: (k,) times in s, known.
-        values: by measurement (k, *shape), the identity where there is none.
+        ts: (k,) times in s, concrete numbers.
+        values: by measurement (k, *shape), the identity if there is none.
         present: by measurement (k,), whether there is a value.
-        rows: by measurement the rows of its values in the timeline, in the order of their times.
+        rows: by measurement the indices of its values in the timeline, in the order of their times.
     """
 
     ts: np.ndarray
@@ -44,11 +44,11 @@ def timeline_of(
     max_step: float | None,
     dtype: Any,
 ) -> Timeline:
-    """The times of all records and of `save_at`, of jumps between them, and of steps of at most `max_step`.
+    """The timeline of all records, of `save_at` and of jumps, with steps of at most `max_step`.
 
-    Rows with a NaN are missing measurements. Records may come in any order of their times.
+    Rows with a NaN are missing measurements. Records need not be sorted by time.
 
-    Raises: InputError, ShapeError.
+    Raises: InputError, ShapeError for invalid records.
     """
     if not isinstance(records, Mapping):
         raise InputError(f"records must be a dict from measurements to (times, values), got {short(records)}")
@@ -57,7 +57,7 @@ def timeline_of(
         raise InputError(f"save_at expects finite times, got {short(save_at)}")
     knots = np.concatenate([np.zeros(0), *times.values(), save_at])
     if t0 is None and not knots.size:
-        raise InputError("records are empty, so t0 is not known.\n  fix: t0=..., in s")
+        raise InputError("records are empty, so t0 is not known.\n  fix: pass t0=..., in s")
     start = float(knots.min()) if t0 is None else t0
     for place, ts in (*((f"records[{name!r}]", ts) for name, ts in times.items()), ("save_at", save_at)):
         if ts.size and ts.min() < start:
@@ -98,7 +98,8 @@ def _times(name: str, pair: Any, measurements: Mapping[str, Measurement]) -> np.
         raise InputError(f"records[{name!r}] expects finite times of shape (k,), got {short(pair[0])}")
     if np.unique(ts).size < ts.size:
         raise InputError(
-            f"records[{name!r}] has two values at one time.\n  fix: a Measurement of another name for the second sensor"
+            f"records[{name!r}] has two values at one time.\n"
+            "  fix: use a Measurement with another name for the second sensor"
         )
     return ts
 
@@ -113,7 +114,7 @@ def _refined(ts: np.ndarray, max_step: float) -> np.ndarray:
 def controls_on(
     u: Mapping[str, Any] | Callable[[Any], Mapping[str, Any]] | None, ts: np.ndarray, dtype: Any
 ) -> dict[str, jax.Array]:
-    """The controls of each interval that ends at a time of the timeline, (k, *shape): their values in its middle."""
+    """The controls of each interval that ends at a time of the timeline, (k, *shape): their values at its midpoint."""
     starts = jnp.asarray(np.concatenate([ts[:1], ts[:-1]]), dtype)
     lengths = jnp.asarray(np.diff(ts, prepend=ts[0]), dtype)
     if callable(u):
@@ -135,5 +136,5 @@ def jumps_of(u: Any) -> list[np.ndarray]:
     tables = [value for value in u.values() if isinstance(value, ControlTable)] if isinstance(u, Mapping) else []
     for table in tables:
         if is_traced(table.ts):
-            raise InputError("the times of a table of controls must be known, got traced ones")
+            raise InputError("the times of a table of controls must be concrete numbers, got traced ones")
     return [np.asarray(table.jumps, float) for table in tables]

@@ -20,15 +20,15 @@ from .update import LinearMeasurement, Update, root_update
 class SquareRootKalman(ErrorStateKalman):
     """`ErrorStateKalman` with a square root of the covariance, $P = L L^T$, for single precision.
 
-    A run propagates L, (n, n), in the units of a tangent. A prediction triangularises $[Phi L, Q^(1/2)]$, an update
-    $[R^(1/2), H L; 0, L]$, by a QR factorisation. No entry is squared. So the ratio of standard deviations may use all
-    digits of the precision, compared with half of them for a covariance. $L L^T$ is positive semidefinite for any
-    round-off. In exact arithmetic the numbers are those of `ErrorStateKalman`.
+    A run propagates L, (n, n), in the units of the tangent. A prediction triangularises $[Phi L, Q^(1/2)]$, and an
+    update $[R^(1/2), H L; 0, L]$, by QR factorisations. No entry is squared, so the ratio of standard deviations may
+    use all digits of the precision, compared with half of them for a covariance. $L L^T$ is positive semidefinite for
+    any round-off. In exact arithmetic the results are those of `ErrorStateKalman`.
 
     Args:
-        dynamics, measurements, method, max_step, gate, noise, reset: as of `ErrorStateKalman`.
+        dynamics, measurements, method, max_step, gate, noise, reset: as for `ErrorStateKalman`.
     Raises:
-        ModelError: what `ErrorStateKalman` refuses.
+        ModelError: the errors of `ErrorStateKalman`.
 
     Example: `tx.estimation.SquareRootKalman(dynamics, [gps]).run({"gps": (times, positions)}, x0, P0)`.
 
@@ -38,10 +38,10 @@ class SquareRootKalman(ErrorStateKalman):
     in_scalars = False
 
     def to_c(self, directory: str | Path, **options: Any) -> CFiles:
-        """Raises ModelError: a QR factorisation has no scalar form. Use `ErrorStateKalman` for C code."""
+        """Raises ModelError, because a QR factorisation has no scalar form. Use `ErrorStateKalman` for C code."""
         raise ModelError(
             "to_c: the QR factorisation of SquareRootKalman has no scalar form.\n"
-            "  fix: ErrorStateKalman(..., noise=tx.estimation.Trapezoidal()).to_c(...)"
+            "  fix: use ErrorStateKalman(..., noise=tx.estimation.Trapezoidal()).to_c(...)"
         )
 
     def factored(self, P: jax.Array) -> jax.Array:

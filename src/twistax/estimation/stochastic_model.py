@@ -1,4 +1,4 @@
-"""A compiled system with noise and measurements: the functions that every filter needs, on prepared arguments."""
+"""A compiled system with noise and measurements: the functions that all filters need, on prepared arguments."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from .process_noise import NoiseDiscretization, VanLoan
 
 
 class OperatingPoint(NamedTuple):
-    """The arguments of rates and measurements, prepared."""
+    """The prepared arguments of rates and measurements."""
 
     t: jax.Array
     x: Arrays
@@ -38,7 +38,9 @@ class OperatingPoint(NamedTuple):
 
 
 class Sensitivity(NamedTuple):
-    """A measurement at a point: its value h, H by right perturbations of the state, and the covariance R of errors."""
+    """A measurement at a point: its value h, its derivative H with respect to right perturbations of the state, and the
+    covariance R of errors.
+    """
 
     value: jax.Array
     H: jax.Array
@@ -49,11 +51,11 @@ class StochasticModel:
     """The compiled system $x' = f(t, x, u, w, p)$ with noise w, and measurements.
 
     Attributes:
-        dynamics: the compiled system, which takes noise as zero.
+        dynamics: the compiled system, in which noise is zero.
         measurements: by name.
-        group, dimension: of the state.
-        method: of the mean.
-        noise: how continuous noise becomes a covariance.
+        group, dimension: group and dimension of the state.
+        method: the integration method of the mean.
+        noise: the discretisation of continuous noise.
     """
 
     def __init__(
@@ -72,8 +74,8 @@ class StochasticModel:
         for leaf in self.process:
             if leaf.name in in_measurements:
                 raise ModelError(
-                    f"Noise {leaf.name!r} is in rates and in a measurement: the filter expects them independent.\n"
-                    "  fix: a Noise of another name in the measurement"
+                    f"Noise {leaf.name!r} is in rates and in a measurement: the filter assumes that these "
+                    "are independent.\n  fix: use a Noise with another name in the measurement"
                 )
         noises = [*self.process, *in_measurements.values()]
         controls = {noise.key(): noise.as_control() for noise in noises}
@@ -114,7 +116,7 @@ class StochasticModel:
     # ---- the state between measurements ------------------------------------------------------------------------------
 
     def step(self, point: OperatingPoint, h: jax.Array) -> tuple[Arrays, jax.Array, jax.Array]:
-        """The mean after h seconds with controls held, the transition matrix and the covariance of the noise.
+        """The mean after h seconds with constant controls, the transition matrix and the covariance of the noise.
 
         Covariances are in the tangent space at the mean: P -> Phi P Phi^T + Q.
         """
@@ -122,7 +124,7 @@ class StochasticModel:
         return x1, transition, self.process_noise(point, x1, transition, h)
 
     def transition(self, point: OperatingPoint, h: jax.Array) -> tuple[Arrays, jax.Array]:
-        """The mean after h seconds with controls held, and the transition matrix."""
+        """The mean after h seconds with constant controls, and the transition matrix."""
         t, x, u, params = point
         flat = self.controls.join(u, t.dtype)
         x1, transition, *_ = step_derivatives(self.dynamics, self.method, t, x, flat, h, params)
@@ -135,7 +137,7 @@ class StochasticModel:
         return self.group.retract(point.x, self.group.join(increment))
 
     def process_noise(self, point: OperatingPoint, x1: Arrays, transition: jax.Array, h: jax.Array) -> jax.Array:
-        """The covariance (n, n) of the noise from a point to the state x1 h seconds later."""
+        """The covariance (n, n) of the noise between a point and the state x1 h seconds later."""
         if not self.process:
             return jnp.zeros((self.dimension, self.dimension), point.t.dtype)
 
@@ -146,7 +148,7 @@ class StochasticModel:
     def local_noise(
         self, fraction: float, point: OperatingPoint, x1: Arrays, h: jax.Array
     ) -> tuple[jax.Array, jax.Array]:
-        """F and $G W G^T$ in the start, the middle or the end of a step."""
+        """F and $G W G^T$ at the start, the middle or the end of a step."""
         x = {0.0: point.x, 1.0: x1}.get(fraction)
         if x is None:
             x = self.group.retract(point.x, fraction * self.group.difference(point.x, x1))
@@ -155,7 +157,7 @@ class StochasticModel:
         return F, G @ self.intensity(at, self.process) @ G.T
 
     def linearized(self, point: OperatingPoint) -> tuple[jax.Array, jax.Array]:
-        """F and G of $d' = F d + G w$, d the right perturbation of the state."""
+        """F and G of $d' = F d + G w$, with d the right perturbation of the state."""
         n, m = self.dimension, self.controls.dimension
         value, slopes = around(self.noisy, ())(point.t, point.x, self.with_zeros(point.u, point.t.dtype), point.params)
         size = sum(int(np.prod(noise.shape)) for noise in self.process)
@@ -175,7 +177,7 @@ class StochasticModel:
         return self.outputs([name], point)[name]
 
     def sensitivity(self, name: str, point: OperatingPoint) -> Sensitivity:
-        """The value of a measurement, its derivative by the state and the covariance of its errors."""
+        """The value of a measurement, its derivative with respect to the state and the covariance of its errors."""
         measurement, n, dtype = self.measurements[name], self.dimension, point.t.dtype
         group, m = measurement.group, measurement.group.dimension
         h = self.measured(name, point)
@@ -208,7 +210,7 @@ class StochasticModel:
         return functions.as_written("outputs", point.t, point.x, self.with_zeros(point.u, point.t.dtype), point.params)
 
     def names(self, rates: bool, measurements: Iterable[str]) -> list[str]:
-        """The outputs that rates and these measurements need."""
+        """The names of the outputs that rates and these measurements need."""
         noises, names = list(self.process) if rates else [], []
         for name in measurements:
             measurement = self.measurements[name]
@@ -217,20 +219,20 @@ class StochasticModel:
         return [*names, *map(_density, noises)]
 
     def with_zeros(self, u: Mapping[str, Any], dtype: Any) -> dict[str, Any]:
-        """The controls of the system with noise: noise that has no value is zero."""
+        """The controls of the system with noise, in which noise without a value is zero."""
         return {**{name: jnp.zeros(shape, dtype) for name, shape in self._zeros.items()}, **u}
 
 
 def _by_name(measurements: Iterable[Measurement]) -> dict[str, Measurement]:
     if not isinstance(measurements, (Measurement, Iterable)):
-        raise ModelError(f"a filter expects measurements, tx.Measurement(...), got {measurements!r}")
+        raise ModelError(f"a filter expects a list of tx.Measurement(...), got {measurements!r}")
     listed_measurements = [measurements] if isinstance(measurements, Measurement) else list(measurements)
     by_name: dict[str, Measurement] = {}
     for measurement in listed_measurements:
         if not isinstance(measurement, Measurement):
-            raise ModelError(f"a filter expects measurements, tx.Measurement(...), got {measurement!r}")
+            raise ModelError(f"a filter expects tx.Measurement(...) as measurements, got {measurement!r}")
         if by_name.setdefault(measurement.name, measurement) is not measurement:
-            raise ModelError(f"two measurements are named {measurement.name!r}; the names of a filter are unique")
+            raise ModelError(f"two measurements are named {measurement.name!r}; names must be unique within a filter")
     return by_name
 
 
@@ -244,7 +246,7 @@ def _need_known(name: str, value: Expr, measurement: Measurement, dynamics: Dyna
         if isinstance(leaf, Control) and leaf.name not in controls:
             raise ModelError(
                 f"Measurement {name!r} reads the control {leaf.name!r}; the system has: {listed(controls, leaf.name)}."
-                "\n  fix: declare it, tx.System(..., controls=[...])"
+                "\n  fix: declare it in tx.System(..., controls=[...])"
             )
 
 

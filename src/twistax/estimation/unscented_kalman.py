@@ -18,21 +18,21 @@ from .update import LinearMeasurement, Update, linear_update, symmetric
 class UnscentedKalman(Filter):
     """The unscented Kalman filter with sigma points on the group of the state.
 
-    The 2 n sigma points are $x Exp(+- n^(1/2) l_i)$, l_i the columns of a square root of P, with equal weights. Each is
-    propagated by the step of the method, or by the measurement. A mean on a group is $y Exp(m)$, y the value at x and m
-    the mean of $Log(y^-1 y_i)$. Rates and measurements are not differentiated with respect to the state; the noise
-    enters linearly, by Van Loan as in `ErrorStateKalman`. For a linear system the estimates are those of the Kalman
-    filter.
+    The 2 n sigma points are $x Exp(+- n^(1/2) l_i)$, with l_i the columns of a square root of P, and with equal
+    weights. Each is propagated by a step of the method, or mapped by the measurement. A mean on a group is $y Exp(m)$,
+    with y the value at x and m the mean of $Log(y^-1 y_i)$. Rates and measurements are not differentiated with respect
+    to the state; the noise enters linearly, by Van Loan's method as in `ErrorStateKalman`. For a linear system the
+    estimates are those of the Kalman filter.
 
     Args:
         dynamics: the compiled system, with `tx.Noise` in its rates.
-        measurements: `tx.Measurement` each.
-        method: of the mean; RKMK with RK4 if left out.
-        max_step: the longest step of a prediction in s; one step between two times if left out.
-        gate: a probability, as of `ErrorStateKalman`.
-        noise: as of `ErrorStateKalman`.
+        measurements: the models of the sensors, a `tx.Measurement` each.
+        method: the integration method of the mean; RKMK with RK4 by default.
+        max_step: the longest step of a prediction in s; by default there is one step between two times.
+        gate: a probability, as for `ErrorStateKalman`.
+        noise: as for `ErrorStateKalman`.
     Raises:
-        ModelError: the same conditions as for `ErrorStateKalman`.
+        ModelError: the errors of `ErrorStateKalman`.
 
     Example: `tx.estimation.UnscentedKalman(dynamics, [gps]).run({"gps": (times, positions)}, x0, P0)`.
 

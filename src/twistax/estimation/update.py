@@ -21,14 +21,14 @@ class Update(NamedTuple):
     """The estimate after a measurement.
 
     Attributes:
-        x, P: state and covariance, unchanged where the measurement was not used.
+        x, P: state and covariance, unchanged if the measurement was not used.
         residual: (m,) $Log(h(x)^-1 z)$, in the tangent space of the measurement.
         S: (m, m), its covariance.
-        nis: normalised innovation squared $r^T S^-1 r$, of mean m for a consistent filter.
-        used: whether it passed the gate.
-        information: (n, n) $H^T R^-1 H$, what the measurement tells of the state; not finite where R is not positive
+        nis: normalised innovation squared $r^T S^-1 r$, with mean m for a consistent filter.
+        used: whether the measurement passed the gate.
+        information: (n, n) information matrix $H^T R^-1 H$ of the measurement; not finite if R is not positive
             definite.
-        log_likelihood: of the measurement.
+        log_likelihood: log-likelihood of the measurement.
     """
 
     x: Arrays
@@ -75,7 +75,7 @@ class LinearMeasurement(NamedTuple):
 
 
 def symmetric(P: jax.Array) -> jax.Array:
-    """The symmetric matrix of the lower triangle; what is computed for the upper one is left out of scalar programs."""
+    """The symmetric matrix with this lower triangle; scalar programs do not compute the upper triangle."""
     return jnp.tril(P) + jnp.tril(P, -1).T
 
 
@@ -104,7 +104,7 @@ def root_update(
     limit: float | None,
     reset: Reset = Product.right_jacobian,
 ) -> Update:
-    """The same with roots, $P = L L^T$, by one orthogonal transformation; the P of the update is the new root.
+    """The same update with roots, $P = L L^T$, by one orthogonal transformation; the P of the result is the new root.
 
     With the transformation T on the right, $[R^(1/2), H L; 0, L] T = [S^(1/2), 0; K S^(1/2), L']$.
     """

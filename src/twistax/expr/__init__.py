@@ -1,4 +1,4 @@
-"""The expression language: leaves, nodes, constraints, and what walks over them."""
+"""The expression language: leaves, nodes and constraints, and functions on expression graphs."""
 
 from . import lie, moved
 from .canonical import canonicalize_all

@@ -1,4 +1,4 @@
-"""What nodes share beyond `Expr`: rules of shapes, and the bases of what works entry by entry or on any number."""
+"""Common parts of nodes: shape rules, and base classes of entrywise and variadic nodes."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from .node import Expr, Numbers, Shape
 
 
 def expect_square(node: Expr, operand: str, got: Shape, *, stacks: bool = False) -> None:
-    """Raise the plain sentence unless the operand is a square matrix, or a stack of them where `stacks` allows it."""
+    """Raise an error unless the operand is a square matrix, or a stack of square matrices if `stacks` permits it."""
     if len(got) < 2 or got[-1] != got[-2] or (len(got) > 2 and not stacks):
         raise ShapeError(f"{type(node).__name__} expects {operand} to be a square matrix, got shape {got}")
 
 
 def broadcast(node: Expr, *shapes: Shape) -> Shape:
-    """NumPy's broadcast shape, or an error that shows all of them."""
+    """NumPy's broadcast shape, or an error that names all shapes."""
     try:
         return np.broadcast_shapes(*shapes)
     except ValueError:
@@ -31,16 +31,16 @@ def broadcast(node: Expr, *shapes: Shape) -> Shape:
 
 
 def align(*values: Numbers) -> list[Numbers]:
-    """Give all values the rank of the highest by leading axes of length 1; scalars stay scalars.
+    """Add leading axes of length 1 so that all values have the same rank; scalars are unchanged.
 
-    JAX's strict rank promotion is content with that.
+    This satisfies JAX's strict rank promotion.
     """
     rank = max(value.ndim for value in values)
     return [v if v.ndim in (0, rank) else v.reshape((1,) * (rank - v.ndim) + v.shape) for v in values]
 
 
 class Entrywise(Expr, init=False):
-    """Base of what works entry by entry, with NumPy's broadcasting where it has several operands."""
+    """Base class of entrywise nodes, with NumPy's broadcasting for several operands."""
 
     abstract = True
     keeps_order = True
@@ -55,7 +55,7 @@ class Entrywise(Expr, init=False):
 
 
 class Variadic(Expr, init=False):
-    """Base of what takes any number of operands, to a type checker."""
+    """Base class of nodes with any number of operands, for type checkers."""
 
     abstract = True
 
@@ -65,7 +65,7 @@ class Variadic(Expr, init=False):
 
 
 class Chained(Entrywise, Variadic, init=False):
-    """Base of what combines two or more operands entry by entry, two at a time in any order."""
+    """Base class of nodes that combine two or more operands entry by entry, pairwise in any order."""
 
     abstract = True
     by_values = True

@@ -1,7 +1,8 @@
-"""`canonicalize`: one pass over the expression graph, children first; shared nodes stay shared.
+"""`canonicalize`: one pass over the expression graph, children first; shared nodes remain shared.
 
-A node class contributes `simplify()`, which sees canonical children. Sums and products are flattened here, because
-only this pass knows the other users of an inner sum: a shared one that is absorbed would be computed in each of them.
+A node class contributes `simplify()`, whose operands are canonical. Sums and products are flattened here, because only
+this pass knows the other users of an inner sum: if a shared sum were merged into each of them, it would be computed
+several times.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ _MARK = "_is_canonical"
 
 
 def canonicalize_all(roots: Sequence[Any]) -> list[Any]:
-    """Simpler trees of the same shapes, equal wherever the originals are finite; parts they share stay shared."""
+    """Simpler trees of the same shapes, equal wherever the originals are finite; shared parts remain shared."""
     nodes = postorder(*roots)
     uses = Counter(id(child) for node in nodes for child in node.children()) + Counter(map(id, roots))
     absorbed = {id(c) for n in nodes if n.associative for c in n.children() if type(c) is type(n) and uses[id(c)] == 1}
@@ -52,7 +53,7 @@ def canonicalize_all(roots: Sequence[Any]) -> list[Any]:
 
 
 def _settled(node: Any, formulas: Formulas) -> Any:
-    """Fold and simplify until nothing changes; a rewrite may build new nodes, which are settled first."""
+    """Fold and simplify until nothing changes; a rewrite may build new nodes, which are simplified first."""
     while _MARK not in node.__dict__:
         node = node.with_children(
             [child if _MARK in child.__dict__ else _settled(child, formulas) for child in node.children()]
@@ -68,13 +69,13 @@ def _settled(node: Any, formulas: Formulas) -> Any:
 
 
 def fold(node: Any, formulas: Formulas | None = None) -> Any:
-    """The Constant a node amounts to when all its children are constants; else the node itself.
+    """The Constant that a node evaluates to if all its children are constants; else the node itself.
 
     Args:
-        formulas: what JAX traced of nodes that were folded before, to which that of this one is added.
+        formulas: cached traces of nodes that were folded before, to which that of this node is added.
 
-    Folding computes in float64 whether or not x64 is on, so that a folded number is as exact as a literal one.
-    A result that is not finite is not folded, so that an evaluation reports it where it occurs.
+    Folding computes in float64, regardless of JAX's x64 setting, so that a folded number is as exact as a literal. A
+    result that is not finite is not folded, so that an evaluation reports it at its place.
     """
     children, Constant = node.children(), NODES["Constant"]
     if node.is_leaf or not children or not all(isinstance(child, Constant) for child in children):

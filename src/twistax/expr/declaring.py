@@ -1,4 +1,4 @@
-"""How a node class declares its fields, and how its constructor binds them."""
+"""The declaration of fields by node classes, and the binding of constructor arguments to them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _MISSING = inspect.Parameter.empty
 
 
 class Field(NamedTuple):
-    """One declared field of a node class."""
+    """A declared field of a node class."""
 
     name: str
     operand: bool
@@ -31,16 +31,16 @@ class Field(NamedTuple):
     default: Any = _MISSING
 
     def shown(self, value: Any) -> bool:
-        """Whether printing shows this static field: only if it differs from its default."""
+        """Whether this static field is printed: only if it differs from its default."""
         if self.operand or self.variadic:
             return False
         return self.default is _MISSING or freeze(value) != freeze(self.default)
 
 
 def declare_fields(cls: Any, constructor: Any) -> None:
-    """Collect the fields a class annotates, after those it inherits, and give it a signature.
+    """Collect the annotated fields of a class after inherited ones, and set the signature of its constructor.
 
-    `help` and editors show the fields, unless a class has another constructor than that which binds them.
+    `help` and editors show the fields, unless a class defines another constructor.
     """
     fields = {f.name: f for f in cls._fields}
     for name, annotation in inspect.get_annotations(cls).items():
@@ -91,10 +91,10 @@ def digest(cls: type, static_key: Any, keys: Iterable[str]) -> str:
 
 
 def freeze(value: Any) -> Any:
-    """Static data as something that compares and prints by content, for structural keys.
+    """Static data in a form that compares and prints by content, for structural keys.
 
-    Objects without a key of their own count by what pickle writes of them. What can be called, and what pickle refuses,
-    is different from all else.
+    Objects without a key are represented by their pickled bytes. Callables, and objects that cannot be pickled, are
+    compared by identity.
     """
     if isinstance(value, float):
         return float(value).hex()

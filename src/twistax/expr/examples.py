@@ -1,4 +1,4 @@
-"""The cases of a node's class as expressions with values, for the conformance suite."""
+"""Examples of node classes as expressions with values, for the conformance test suite."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Case: TypeAlias = Mapping[str, Any] | tuple[Callable[..., Any], Mapping[str, Any
 
 
 class Example(NamedTuple):
-    """One conformance case: an expression, values of its leaves, and whether it is smooth there."""
+    """One example for the conformance tests: an expression, values of its leaves, and whether it is smooth there."""
 
     expr: Any
     values: Mapping[str, Any]
@@ -23,7 +23,7 @@ class Example(NamedTuple):
 
 
 def example_of(cls: Any, case: Case, smooth: bool) -> Example:
-    """An example of a class from one of its cases."""
+    """An example of a class from one of its declared cases."""
     values: dict[str, np.ndarray] = {}
 
     def leaf(name: str, value: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Graphs of nodes: every node once, children first, without recursion."""
+"""Traversal of expression graphs: every node once, children first, without recursion."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @runtime_checkable
 class Node(Protocol):
-    """What walking over graphs and printing ask of a node; `Expr` says what it is."""
+    """The interface of nodes for traversal and printing; `Expr` is the implementation."""
 
     is_leaf: ClassVar[bool]
     precedence: ClassVar[int]
@@ -48,7 +48,9 @@ def postorder(*roots: N) -> list[N]:
 
 
 def traverse(expr: N, visit: Callable[[N], None]) -> None:
-    """Call `visit` on every node below `expr`, children first, each once. Raises OperationError."""
+    """Call `visit` on every node below `expr`, children first, each once. Raises OperationError if it is not an
+    expression.
+    """
     if not hasattr(expr, "children"):
         raise OperationError(f"traverse expects an expression, got {short(expr)}")
     callable_with("traverse", visit, ["node"], OperationError)
@@ -62,13 +64,15 @@ def leaves_of(*roots: Node) -> Iterator[Any]:
 
 
 def other_leaves(root: Node, placeholders: Sequence[Node]) -> list[Any]:
-    """The leaves below a root that are none of the placeholders, each key once."""
+    """The leaves below a root that are not placeholders, each key once."""
     keys = {placeholder.key() for placeholder in placeholders}
     return [leaf for key, leaf in {leaf.key(): leaf for leaf in leaves_of(root)}.items() if key not in keys]
 
 
 def substitute(root: N, exchange: Mapping[str, N]) -> N:
-    """The tree with every leaf whose key is in `exchange` replaced; parts without such a leaf stay the same objects."""
+    """The tree with every leaf whose key is in `exchange` replaced; parts without such a leaf remain the same
+    objects.
+    """
     done: dict[int, N] = {}
     for node in postorder(root):
         children = node.children()
@@ -91,7 +95,7 @@ def _with_facts(new: N, old: Node) -> N:
 
 
 def find_path(root: Node, target: Node) -> str:
-    """The path from `root` to `target`: `Solve.b -> Sub.right -> Adjoint`. The middle of a long path is left out."""
+    """The path from `root` to `target`: `Solve.b -> Sub.right -> Adjoint`. The middle of a long path is omitted."""
     parents: dict[int, tuple[Node, str]] = {}
     stack = [root]
     seen = {id(root)}
@@ -134,15 +138,15 @@ _key: Callable[[Node], str] = operator.methodcaller("key")
 
 
 def evaluate_all(roots: Sequence[Node], read: Callable[[Any], jax.Array]) -> list[jax.Array]:
-    """The value of every root. Equal subtrees (by structure, not identity) are evaluated once.
+    """The value of every root. Subtrees of equal structure are evaluated once.
 
-    What all branches of a node need is evaluated before it, so that it is not evaluated in each of them.
+    Subexpressions that all branches of a node need are evaluated before it, not separately in each branch.
 
-    `read` gives the value of a leaf. Nothing is kept between calls: the function is pure.
+    `read` returns the value of a leaf. Nothing is cached between calls: the function is pure.
 
     Raises:
-        ModelError: nested branches share what none of them needs for certain, so that it is evaluated in each, again
-            and again.
+        ModelError: nested branches share subexpressions that not all of them need, so that these would be evaluated in
+            every branch, too often.
     """
     from .numerals import RepeatedFormulas  # not at import: it loads much of JAX that `import jax` does not
 
@@ -172,9 +176,9 @@ def evaluate_all(roots: Sequence[Node], read: Callable[[Any], jax.Array]) -> lis
         count += 1
         if count > len(distinct) + _ANEW:
             raise ModelError(
-                f"branches of tx.Cond share what none of them needs for certain, so each evaluates it anew: "
-                f"{len(distinct):,} nodes become more than {count - 1:,}.\n"
-                "  fix: tx.Where in place of tx.Cond where both sides may be computed"
+                "branches of tx.Cond share subexpressions that none of them always needs, so each branch "
+                f"evaluates them again: {len(distinct):,} nodes become more than {count - 1:,}.\n"
+                "  fix: use tx.Where in place of tx.Cond if both sides may be evaluated"
             )
         eager = node.eager_children()
         branches = [
@@ -195,7 +199,9 @@ def evaluate_all(roots: Sequence[Node], read: Callable[[Any], jax.Array]) -> lis
 
 
 def function_of(root: Node, placeholders: Sequence[Node], known: Mapping[str, Any]) -> Callable[..., jax.Array]:
-    """The value of a root as a function of the values of placeholders; `known` has those of other leaves by key."""
+    """The value of a root as a function of the values of placeholders; `known` contains those of other leaves by
+    key.
+    """
 
     def value(*values: jax.Array) -> jax.Array:
         by_key = {**known, **{leaf.key(): value for leaf, value in zip(placeholders, values, strict=True)}}

@@ -1,4 +1,4 @@
-"""Leaves: the arguments of expressions. The place of a leaf in a vector is the business of a layout."""
+"""Leaves: the arguments of expressions. Their positions in vectors are determined elsewhere, by layouts."""
 
 from __future__ import annotations
 
@@ -26,7 +26,9 @@ from .spellings import Bounded, refuse_in_jax
 
 @dataclasses.dataclass(frozen=True)
 class Inputs:
-    """The arguments of a lowered function, as arrays of one precision, JAX's, or NumPy's where they will be jitted."""
+    """The arguments of a lowered function, as arrays of one precision: JAX arrays, or NumPy arrays for a jitted
+    function.
+    """
 
     t: Any
     x: Mapping[str, Any]
@@ -84,13 +86,13 @@ _ROUND_OFF = 1e-12
 
 
 class Constant(Leaf):
-    """A number or an array. Read-only; takes the precision of the states when evaluated.
+    """A number or an array. Read-only; it is converted to the precision of the states when evaluated.
 
     Args:
-        value: numbers. A value of `tx.units` brings its unit.
+        value: numbers. A value of `tx.units` includes its unit.
         kind, unit: see `State`.
     Raises:
-        ModelError: not numeric, or a traced JAX value (use a Parameter for what changes between calls).
+        ModelError: not numeric, or a traced JAX value (use a Parameter for values that change between calls).
     """
 
     value: np.ndarray
@@ -102,7 +104,7 @@ class Constant(Leaf):
         if callable(value) and not isinstance(value, type):
             raise ModelError(
                 f"a Constant expects real numbers, got the function {getattr(value, '__name__', type(value).__name__)}"
-                ".\n  fix: apply it to expressions: tx.Function(f, shape)(x)"
+                ".\n  fix: to apply it to expressions use tx.Function(f, shape)(x)"
             )
         array = reals("a Constant", value, ModelError).copy()
         if unit is None and kind is None:
@@ -179,7 +181,7 @@ class Variable(Bounded, Leaf):
     Attributes:
         min, max: bounds, broadcast to the shape; None for no bound.
         guess: one value of the leaf's shape, or a trajectory (n, *shape).
-        scale: typical size of a change, positive, of the tangent's shape (for a pose: (6,) or a number).
+        scale: typical size of a change, positive, with the shape of the tangent (for a pose: (6,)), or a number.
     """
 
     min: np.ndarray | None
@@ -190,24 +192,24 @@ class Variable(Bounded, Leaf):
 
 
 class State(Variable):
-    """A quantity that the system integrates: Euclidean of any shape, or an element of a Lie group.
+    """A quantity that the system integrates: an array of any shape (Euclidean), or an element of a Lie group.
 
     The rate of a group-valued state is its left-trivialised (body) velocity: (3,) for SO3, (6,) for SE3.
 
     Args:
         name: unique among the states of a system.
-        shape: shape of the value; () by default. A group has its own.
+        shape: shape of the value; () by default. A group determines it.
         group: `tx.SO3`, `tx.SE3` or a custom group; None for $R^m$.
         order: order of the twists of a pose; `tx.LINEAR_FIRST` by default.
-        min, max: bounds, Euclidean states only.
-        initial, final: boundary values; None (or a None entry) is free.
+        min, max: bounds, for Euclidean states only.
+        initial, final: boundary values; None, or an entry None, means free.
         guess, scale: see `Variable`.
         kind: its kind and frames, such as `tx.Twist("body")`, which a system checks.
-        unit: of all entries, such as "m/s" or `tx.units.metres`; of a six-vector that of its angular part.
+        unit: unit of all entries, such as "m/s" or `tx.units.metres`; for a six-vector, the unit of its angular part.
     Raises:
-        ShapeError: a value has another shape.
-        ModelError: bounds on a group, an order without a pose, a value that is not in the group, a kind with another
-            shape, an invalid unit.
+        ShapeError: a value of another shape.
+        ModelError: bounds on a group, an order for a state that is not a pose, a value that is not in the group, a kind
+            with another shape, an invalid unit.
     """
 
     group: Group
@@ -234,8 +236,8 @@ class State(Variable):
         group = group_of(name, shape, group, order)
         if not group.flat and (min is not None or max is not None):
             raise ModelError(
-                f"State {name!r} is on {group.name}: bounds on its {group.shape} entries are not defined.\n"
-                "  fix: constrain an expression of it, e.g. g[2, 3] >= 0"
+                f"State {name!r} is on {group.name}: bounds on its entries, of shape {group.shape}, are "
+                "not defined.\n  fix: use a constraint on an expression of it, e.g. g[2, 3] >= 0"
             )
         ends = {
             "initial": boundary_value(name, "initial", initial, group),
@@ -250,7 +252,7 @@ class State(Variable):
         return super().replace(**(dict.fromkeys(implied) | changes))
 
     def boundary(self, what: str, value: Any) -> np.ndarray | None:
-        """A checked value at the start or the end, "initial" or "final"."""
+        """A checked boundary value, "initial" or "final"."""
         return boundary_value(self.name, what, value, self.group)
 
     @property
@@ -269,11 +271,11 @@ class State(Variable):
 
 
 class Control(Variable):
-    """An input that a user or an optimiser chooses at every time; Euclidean of any shape.
+    """An input that a user or an optimiser chooses at every time, an array of any shape.
 
     Args:
         name: unique among the controls of a system.
-        shape: shape of the value; () if left out.
+        shape: shape of the value; () by default.
         min, max, guess, scale: see `Variable`.
         kind, unit: see `State`.
     """
@@ -300,17 +302,17 @@ class Control(Variable):
 
 
 class Parameter(Leaf):
-    """A value that is constant during a run and may change between runs: mass, inertia, a table.
+    """A value that is constant during a run and may change between runs, such as a mass, an inertia or a table.
 
-    It is an input of the lowered function, not a constant, unless it is baked in.
+    It is an input of the lowered function, unless `bake` makes it a constant of the compiled system.
 
     Args:
         name: unique among the parameters of a system.
-        shape: shape of the value; taken from `value` if left out.
+        shape: shape of the value; by default that of `value`.
         value: the default value. A value of `tx.units` includes its unit.
         kind, unit: see `State`.
     Raises:
-        ModelError, ShapeError: a value that is not made of real numbers, or that has another shape.
+        ModelError, ShapeError: a value that does not consist of real numbers, or that has another shape.
     """
 
     value: np.ndarray | None

@@ -1,4 +1,4 @@
-"""Modules that have moved, by the earlier names in files and pickles of earlier versions."""
+"""Modules that have moved, by their earlier names in files and pickles of earlier versions."""
 
 from __future__ import annotations
 
@@ -83,14 +83,14 @@ _GONE = ("lowering", "lowering.native")
 
 
 def module_now(module: str) -> str:
-    """The present module of an earlier name."""
+    """The present module for an earlier name."""
     package, _, below = module.partition(".")
     return f"{package}.{MOVED[below]}" if package == _PACKAGE and below in MOVED else module
 
 
 def first_module(cls: type) -> str:
-    """The module in which a class was first defined: files and keys name it, so that they stay the same if the class
-    moves.
+    """The module in which a class was first defined. Files and keys use this name, so that they do not change if the
+    class moves.
     """
     package, _, below = cls.__module__.partition(".")
     return f"{package}.{_EARLIER[below]}" if package == _PACKAGE and below in _EARLIER else cls.__module__
@@ -105,7 +105,7 @@ class _KeepsNames(ModuleType):
 
 
 class EarlierNames:
-    """Finds a module that has moved where it is now; Python asks when nothing else has a module of that name."""
+    """An import finder that redirects the earlier name of a module to the present module; Python calls it last."""
 
     @classmethod
     def find_spec(cls, name: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
@@ -120,7 +120,7 @@ class EarlierNames:
 
     @staticmethod
     def exec_module(module: ModuleType) -> None:
-        """A module may put another one in its place. The import then names it in its package."""
+        """A module may replace itself by another one, which the import then enters into its package."""
         package, _, name = module.__name__.rpartition(".")
         if name in vars(sys.modules[package]):
             sys.modules[package].__class__ = _KeepsNames
@@ -131,10 +131,10 @@ class EarlierNames:
 
 
 def earlier_classes(module: str) -> Callable[[str], Any]:
-    """`__getattr__` of a module: the classes that it had in earlier versions, by their names then.
+    """`__getattr__` of a module for the classes that it had in earlier versions, by their earlier names.
 
     Raises:
-        ModelError: one that this version does not read.
+        ModelError: a class that this version does not support.
     """
     _, _, below = module.partition(".")
 
@@ -146,8 +146,8 @@ def earlier_classes(module: str) -> Callable[[str], Any]:
         if qualified in _UNREAD_CLASSES or (below in _UNREAD and not name.startswith("_")):
             raise ModelError(
                 f"this pickle has a {name} of an earlier version of twistax, which this version does not support.\n"
-                "  fix: state the problem again and solve it, with the earlier xs and us as guess; the version that "
-                "wrote the pickle reads it"
+                "  fix: read the pickle with the version that wrote it; or state the problem again, and "
+                "solve it with the earlier xs and us as guess"
             )
         raise AttributeError(f"module {module!r} has no attribute {name!r}")
 
@@ -155,6 +155,6 @@ def earlier_classes(module: str) -> Callable[[str], Any]:
 
 
 def find_earlier_names() -> None:
-    """Let pickles of earlier versions find their classes."""
+    """Enable pickles of earlier versions to find their classes."""
     if EarlierNames not in sys.meta_path:
         sys.meta_path.append(EarlierNames)

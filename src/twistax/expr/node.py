@@ -1,7 +1,7 @@
-"""The node: an immutable expression with children, a shape, a value and a structural key.
+"""The base class of nodes: immutable expressions with children, a shape, a value and a structural key.
 
-A node class is one class in one file. It declares its fields and some of the attributes and hooks of `Expr`. Traversal,
-caching, keys, operators and printing are written once, here and beside.
+A node class is defined in one file. It declares its fields, and some of the attributes and hooks of `Expr`. Traversal,
+caching, keys, operators and printing are implemented once, for all nodes.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ E = TypeVar("E", bound="Expr")
 
 
 class Operand:
-    """Marks a field that holds one child expression (to a type checker: takes numbers and arrays too)."""
+    """Marks a field that holds one child expression (for type checkers it also accepts numbers and arrays)."""
 
     if TYPE_CHECKING:
 
@@ -60,10 +60,10 @@ else:
 
 @dataclass_transform(eq_default=False)
 class Expr(Printed, Operators):
-    """Base of all expressions.
+    """Base class of all expressions.
 
-    Nodes are immutable. They hash by identity and compare by structure through `key()`.
-    `==`, `<=` and `>=` build constraints.
+    Nodes are immutable. They hash by identity; `key()` compares them by structure. `==`, `<=` and `>=` build
+    constraints.
     """
 
     #: What `evaluate` applies to the values of the operands, for a node without an `evaluate` of its own.
@@ -146,7 +146,7 @@ class Expr(Printed, Operators):
 
     @classmethod
     def from_fields(cls: type[E], fields: Mapping[str, Any], *, validated: bool = True) -> E:
-        """A node with these fields, without its constructor; `validated` skips `validate`."""
+        """A node with these fields, built without its constructor; `validated` skips `validate`."""
         node = object.__new__(cls)
         node.__dict__.update(fields)
         if not validated:
@@ -169,7 +169,9 @@ class Expr(Printed, Operators):
         object.__setattr__(self, name, value)
 
     def __delattr__(self, name: str) -> None:
-        raise ImmutableError(f"{type(self).__name__} is immutable: cannot delete {name!r}.\n  fix: build another one")
+        raise ImmutableError(
+            f"{type(self).__name__} is immutable: cannot delete {name!r}.\n  fix: build another expression"
+        )
 
     def replace(self: E, **changes: Any) -> E:
         """A copy with some of the constructor's arguments changed."""
@@ -198,9 +200,9 @@ class Expr(Printed, Operators):
         return type(self).function(*values)
 
     def eager_children(self) -> list[Expr]:
-        """The children that are always evaluated: all, or the first ones where the rest are branches.
+        """The children that are always evaluated: all, or the first ones if the others are branches.
 
-        A child may be replaced by an expression that gives the value with a smaller error.
+        A child may be replaced by an expression that computes the value with a smaller error.
         """
         return self.children()
 
@@ -213,7 +215,7 @@ class Expr(Printed, Operators):
         return self
 
     def twist_orders(self) -> tuple[list[Order | None], Order | None]:
-        """The twist order each operand must have, and that of the result; None where any order is allowed."""
+        """The twist order that each operand must have, and that of the result; None if any order is allowed."""
         return [None] * len(self.children()), None
 
     def twist_axes(self, value: Expr) -> list[int]:
@@ -221,7 +223,7 @@ class Expr(Printed, Operators):
         return [-1 - i for i in range(value.ndim)]
 
     def shared_orders(self) -> list[list[tuple[Expr, int]]]:
-        """Axes that must have one twist order, in groups of (operand or this node, axis counted from the last)."""
+        """Groups of axes that must have one twist order, each as (operand or this node, axis counted from the last)."""
         values = [*self.children(), self] if self.keeps_order else []
         return [[(value, -k) for value in values if value.ndim >= k] for k in range(1, self.ndim + 1)]
 
@@ -247,7 +249,7 @@ class Expr(Printed, Operators):
 
     @classmethod
     def example(cls) -> list[Example]:
-        """The cases for the conformance suite."""
+        """The examples for the conformance test suite."""
         cases = [(case, True) for case in cls.cases] + [(case, False) for case in cls.kinks]
         return [example_of(cls, case, smooth) for case, smooth in cases]
 
@@ -274,11 +276,11 @@ class Expr(Printed, Operators):
         return names
 
     def outline(self) -> list[tuple[str, Expr]]:
-        """The named entries that `tree()` shows below this node: its children, unless a node defines others."""
+        """The named entries that `tree()` shows below this node: by default its children."""
         return list(zip(self.child_names(), self.children(), strict=True))
 
     def with_children(self: E, children: list[Expr]) -> E:
-        """The same node with other children; a variadic one may have more or fewer."""
+        """The same node with other children; a variadic node may get another number of them."""
         mine = self.children()
         if len(mine) == len(children) and all(a is b for a, b in zip(mine, children)):
             return self
@@ -304,7 +306,7 @@ class Expr(Printed, Operators):
     def check_shape(self) -> Shape:
         """The shape of the value.
 
-        Raises: ShapeError if a shape in the tree does not match; it names the node, its place, and the remedy.
+        Raises: ShapeError if a shape in the tree does not match; the message names the node, its place, and a remedy.
         """
         return bottom_up(self, "_shape", lambda node: _shape_of(node, self))
 
@@ -354,7 +356,7 @@ def _read(node: Expr, name: str) -> list[Any]:
 def to_expr(value: Any) -> Expr:
     """The value itself if it is an expression, else a Constant of the number or array.
 
-    Raises: ModelError for anything else.
+    Raises: ModelError for an object that is neither an expression nor made of real numbers.
     """
     node: Expr = as_node(value)
     return node
@@ -383,7 +385,7 @@ def all_nodes() -> list[type[Expr]]:
 
 
 def to_numbers(owner: str, child: Expr) -> Expr:
-    """The operand of a node; constant truth values as 0 and 1. Raises ModelError for a condition."""
+    """The operand of a node; constant truth values become 0 and 1. Raises ModelError for a condition."""
     if child.boolean and not child.is_leaf:
         raise ModelError(
             f"{owner} expects numbers, got the condition {child!r}.\n"
@@ -393,6 +395,6 @@ def to_numbers(owner: str, child: Expr) -> Expr:
 
 
 def expect(node: Expr, operand: str, got: Shape, wanted: Shape, hint: str | None = None) -> None:
-    """Raise the plain sentence if an operand has another shape than the one it must have."""
+    """Raise an error if an operand does not have the required shape."""
     if got != wanted:
         raise ShapeError(f"{type(node).__name__} expects {operand} with shape {wanted}, got {got}", hint=hint)

@@ -15,14 +15,14 @@ from .node import Expr, Shape, to_expr
 
 
 class Noise(Leaf):
-    """White noise of mean zero, for rates and measurements. A compiled system sets it to zero.
+    """White noise with zero mean, for rates and measurements. A compiled system sets it to zero.
 
     In rates it is continuous in time: $E[w(t) w(s)^T] = S S^T delta(t - s)$, S the density. A random walk is a state
     whose rate is a Noise. In a measurement with a sampling time T it adds the covariance $S S^T / T$.
 
     Args:
         name: unique among the leaves of a system.
-        shape: shape of the value; () if left out.
+        shape: shape of the value; () by default.
         density: amplitude spectral density in the unit of the value per sqrt(Hz): a number, one for each entry, or a
             matrix (n, n) for n entries. Numbers, a Parameter, or an expression of parameters.
     Raises:

@@ -1,5 +1,5 @@
-"""Functions of arrays that are met many times: on numbers by NumPy, where XLA would compile a program for each
-operation, and on arrays that JAX traces.
+"""Functions of arrays that are evaluated many times: on numbers by NumPy, because XLA would compile a program for each
+operation; and on arrays that JAX traces.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ Formulas: TypeAlias = "dict[Hashable, ClosedJaxpr | None]"
 def numerals(
     function: Callable[..., Any], values: Sequence[np.ndarray], kind: Hashable | None, formulas: Formulas
 ) -> np.ndarray:
-    """The one result of a function of arrays, traceable by JAX.
+    """The single result of a function of arrays that JAX can trace.
 
     Args:
-        kind: equal for functions that compute the same; None for one that takes NumPy's arrays as they are.
-        formulas: those of the kinds that were met, to which this one is added.
+        kind: equal for functions that compute the same; None for a function that accepts NumPy arrays directly.
+        formulas: cached traces by kind, to which this one is added.
     """
     with np.errstate(all="ignore"):  # what is not finite is the caller's to judge
         if kind is None:
@@ -104,10 +104,10 @@ _OFTEN = 3
 
 
 class RepeatedFormulas:
-    """The formulas that one evaluation of expressions met: how often, or what JAX traced of them.
+    """The formulas in one evaluation of expressions: their counts, or JAX's traces of them.
 
-    A function of `jax.numpy` checks and promotes its arguments at each call, which takes several times as long as the
-    operations that it comes to. A robot of thirty links has ten thousand nodes, of some hundred kinds.
+    A function of `jax.numpy` checks and promotes its arguments at each call, which takes several times as long as its
+    operations. A robot of thirty links has ten thousand nodes, of some hundred kinds.
     """
 
     def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Python and NumPy operators on expressions: each builds a node."""
+"""Python and NumPy operators on expressions; each operator builds a node."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ NODES: dict[str, Any] = {}
 
 
 def as_node(value: Any) -> Any:
-    """The value itself if it is an expression, else a Constant. Raises ModelError."""
+    """The value itself if it is an expression, else a Constant. Raises ModelError for other objects."""
     return value if isinstance(value, Operators) else NODES["Constant"](value)
 
 
@@ -90,7 +90,7 @@ class Operators:
         if getattr(np, name, None) is not ufunc:
             raise OperationError(
                 f"{ufunc!r} is not a ufunc of NumPy and is not defined for expressions.\n"
-                "  fix: build it from tx nodes, or lower first (tx.lower(expr)) and apply it to the numbers"
+                "  fix: build it from tx nodes, or apply it to the numbers of the lowered function tx.lower(expr)"
             )
         function = _meaning(name, self)
         if method != "__call__":
@@ -99,7 +99,10 @@ class Operators:
                 "  fix: use tx.linalg.Sum, tx.linalg.Outer or an explicit sum"
             )
         if kwargs:
-            raise OperationError(f"np.{name} takes no keyword arguments with expressions, got {', '.join(kwargs)}")
+            raise OperationError(
+                f"np.{name} does not accept keyword arguments with expressions, got {', '.join(kwargs)}\n"
+                "  fix: omit them"
+            )
         return function(*inputs)
 
     def __array_function__(self, func: Callable[..., Any], types: Any, args: Any, kwargs: Any) -> Any:
@@ -174,7 +177,7 @@ class Operators:
 def _dot(a: Any, b: Any) -> Any:
     a, b = as_node(a), as_node(b)
     if a.ndim > 2 or b.ndim > 2:
-        raise OperationError("np.dot of expressions takes vectors and matrices; a @ b multiplies stacks of matrices")
+        raise OperationError("np.dot of expressions accepts vectors and matrices; for stacks of matrices use a @ b")
     if a.ndim == 0 or b.ndim == 0:
         return NODES["Mul"](a, b)
     return NODES["Dot"](a, b) if a.ndim == b.ndim == 1 else NODES["MatMul"](a, b)
@@ -184,7 +187,7 @@ def _cross(a: Any, b: Any) -> Any:
     a, b = as_node(a), as_node(b)
     if a.ndim > 1 or b.ndim > 1:
         raise OperationError(
-            "np.cross of expressions takes vectors; tx.linalg.Cross takes k columns (3, k) on the right"
+            "np.cross of expressions accepts vectors; tx.linalg.Cross accepts k columns (3, k) on the right"
         )
     return NODES["Cross"](a, b)
 
@@ -195,12 +198,12 @@ def _joined(arrays: Any, axis: int = 0) -> Any:
         return NODES["Hstack"](exprs)
     if axis == 0 or (axis == -1 and all(e.ndim == 1 for e in exprs)):
         return NODES["Concat"](*exprs)
-    raise OperationError("np.concatenate of expressions takes axis 0, and axis 1 of matrices")
+    raise OperationError("np.concatenate of expressions accepts axis 0, and for matrices axis 1")
 
 
 def _stacked(arrays: Any, axis: int = 0) -> Any:
     if axis != 0:
-        raise OperationError("np.stack of expressions takes axis 0 only; transpose the result")
+        raise OperationError("np.stack of expressions accepts axis 0 only; transpose the result")
     return NODES["Stack"](list(arrays))
 
 
@@ -208,7 +211,7 @@ def _transposed(a: Any, axes: Any = None) -> Any:
     expr = as_node(a)
     if axes not in (None, (1, 0), [1, 0]) or expr.ndim > 2:
         raise OperationError(
-            "np.transpose of an expression takes matrices; tx.linalg.Transpose swaps the last two axes"
+            "np.transpose of an expression accepts matrices; tx.linalg.Transpose swaps the last two axes"
         )
     return expr.T
 
@@ -218,7 +221,7 @@ def _blocks(arrays: Any) -> Any:
     entries = [e for row in arrays for e in (row if isinstance(row, (list, tuple)) else [row])]
     ranks = [as_node(entry).ndim for entry in entries]
     if max(ranks, default=0) > 2:
-        raise OperationError("np.block of expressions takes vectors and matrices; tx.Block joins the first two axes")
+        raise OperationError("np.block of expressions accepts vectors and matrices; tx.Block joins the first two axes")
     if max(ranks, default=0) < 2 and not any(isinstance(row, (list, tuple)) for row in arrays):
         return NODES["Hstack"](list(arrays))
     return NODES["Block"](arrays)
@@ -298,5 +301,5 @@ def _meaning(name: str, expr: Any) -> Callable[..., Any]:
         raise OperationError(f"np.{name} is not available for expressions.\n  fix: {fix}")
     raise OperationError(
         f"np.{name} is not available for expressions.\n"
-        "  fix: build it from tx nodes, or lower first (tx.lower(expr)) and apply it to the numbers"
+        "  fix: build it from tx nodes, or apply it to the numbers of the lowered function tx.lower(expr)"
     )

@@ -1,14 +1,14 @@
-"""Which order the six-vectors of a system have, [v; w] or [w; v], and an error where two orders meet.
+"""The order of six-vectors in a system, [v; w] or [w; v], with an error if two orders are mixed.
 
-An order belongs to an axis of length six: a twist has one such axis, a 6x6 operator two, the Jacobian of an arm with
-six joints one for its twist and another for its joints. Orders flow along axes: a Lie node fixes those of its operands
-and its result, a sum demands one order of all terms, a product hands on what is not summed over, a state shares its
-order with its rate. What must agree forms a class; a class with two orders is a mistake somewhere, and both places are
-named. A 6x6 matrix may have joints on one side, so its two axes form no class; but it is a mistake, too, if both sides
-turn out to be six-vectors and of different order.
+An order belongs to an axis of length six: a twist has one such axis, a 6x6 operator two, and the Jacobian of an arm
+with six joints one for the twist and another for the joints. Orders propagate along axes: a Lie node determines those
+of its operands and its result, a sum requires one order of all terms, a product passes on the axes that are not summed
+over, and a state has the order of its rate. Axes that must agree form a class; two orders in a class are an error,
+whose message names both places. The two axes of a 6x6 matrix form no class, because one of them may be that of joints;
+but it is an error if both are six-vectors of different order.
 
-Indexing and joining pieces end the flow. Constants, and what is made of constants and scalars alone, have no order and
-may stand anywhere.
+Indexing and joining stop the propagation. Constants, and expressions of constants and scalars only, have no order and
+may be used anywhere.
 """
 
 from __future__ import annotations
@@ -165,11 +165,12 @@ class _Flow:
 
 
 def check_orders(roots: Mapping[str, Expr], rates: Mapping[State, Expr]) -> None:
-    """Raise OrderError if a [v; w] value meets a [w; v] value.
+    """Raise OrderError if a [v; w] value is combined with a [w; v] value.
 
     Args:
         roots: every expression of a system, by the name used in messages.
-        rates: the rate of every state: a pose's rate has the order of its group, another state that of its rate.
+        rates: the rate of every state. The rate of a pose has the order of its group; any other state has the order of
+            its rate.
     """
     flow = _Flow()
     for name, root in roots.items():
@@ -195,7 +196,7 @@ def _axes(value: Expr) -> list[int]:
 
 
 def bodies(node: Expr) -> list[Expr]:
-    """The expressions that a node holds besides its children."""
+    """The expressions that a node contains besides its children."""
     if type(node).outline is Expr.outline:
         return []
     children = {id(child) for child in node.children()}
@@ -203,6 +204,6 @@ def bodies(node: Expr) -> list[Expr]:
 
 
 def short(value: Expr, longest: int = 60) -> str:
-    """The text of a value, cut off where it is long."""
+    """The text of a value, truncated if it is long."""
     text = repr(value)
     return text if len(text) <= longest else f"{text[:longest]}..."

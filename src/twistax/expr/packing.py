@@ -19,10 +19,11 @@ class _Place(int):
 
 
 def pack(value: Any) -> tuple[list[tuple[type[Any], dict[str, Any]]], Any]:
-    """Nodes, or tuples, lists and dicts of them, as a table of nodes, operands first, that pickle reads flatly.
+    """Nodes, or tuples, lists and dicts of them, as a table of nodes, operands first, which pickle reads without
+    recursion.
 
     Raises:
-        pickle.PicklingError: a node holds what cannot be pickled.
+        pickle.PicklingError: a node contains an object that cannot be pickled.
     """
     nodes = list(walk(_nodes_in(value), lambda node: list(_nodes_in(node.__dict__))))
     places = {id(node): _Place(k) for k, node in enumerate(nodes)}
@@ -35,7 +36,7 @@ def pack(value: Any) -> tuple[list[tuple[type[Any], dict[str, Any]]], Any]:
 
 
 def unpack(table: list[tuple[type[Any], dict[str, Any]]], value: Any) -> Any:
-    """What was packed."""
+    """The packed nodes."""
     nodes: list[Any] = []
     for cls, fields in table:
         node = object.__new__(cls)

@@ -1,6 +1,6 @@
-"""What people write who take an expression for an array, and what it is written as here: one sentence each.
+"""Hints for users who treat an expression as an array: the equivalent form for expressions.
 
-Methods and attributes of arrays, functions of `jax.numpy` and `math`, and functions of NumPy that no node means.
+They cover methods and attributes of arrays, functions of `jax.numpy` and `math`, and functions of NumPy without a node.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ _OF_SCALARS = dict.fromkeys(("max", "min", "prod", "sum", "mean"), "{x}") | {
 
 
 def spelled(name: str, x: str, ndim: int = 1) -> str | None:
-    """How an attribute of arrays is written of the expression that is written x; None for what is none."""
+    """The equivalent of an attribute of arrays for the expression with the text x; None for other names."""
     text = CODE.get(name) or PROSE.get(name)
     if not ndim:
         text = _OF_SCALARS.get(name, text)
@@ -97,11 +97,13 @@ def spelled(name: str, x: str, ndim: int = 1) -> str | None:
 
 
 class MissingAttribute(OperationError, AttributeError):
-    """An attribute that arrays have and expressions have not: `hasattr` says False."""
+    """The error for an attribute that arrays have and expressions do not; `hasattr` returns False."""
 
 
 def missing(expr: Any, name: str, of_numpy: bool) -> AttributeError:
-    """The error for an attribute that an expression has not; `of_numpy`: a function of NumPy that takes expressions."""
+    """The error for an attribute that an expression does not have; `of_numpy`: a function of NumPy that accepts
+    expressions.
+    """
     if not name.startswith("_"):
         rank = _rank(expr) if name in CODE else 1
         if spelled(name, "x", rank) or of_numpy:  # the text of a large expression takes long, and `hasattr` asks often
@@ -148,9 +150,9 @@ def _bound(name: str) -> property:
 
 
 class Bounded:
-    """A leaf with `min` and `max`: its bounds, and as methods what other expressions say of them.
+    """A leaf with `min` and `max`: its bounds, and also, as methods, the hints of other expressions.
 
-    `x.max` is None without a bound, so that `x.max()` would be the error that None cannot be called.
+    Without a bound `x.max` is None, so `x.max()` would only report that None is not callable.
     """
 
     if TYPE_CHECKING:
@@ -170,9 +172,9 @@ def _reads_a_method(getter: Any) -> bool:
 
 
 def for_jax() -> property:
-    """`__jax_array__`: refuses where a function of JAX wants an array, and is not there where JAX's operators ask.
+    """`__jax_array__`: raises an error if a function of JAX requires an array, and is absent for JAX's operators.
 
-    It raises a ModelError and no OperationError, for JAX puts a message of its own in the place of a TypeError.
+    It raises a ModelError rather than an OperationError, because JAX replaces the message of a TypeError.
     """
 
     def refuse(expr: Any) -> NoReturn:
@@ -188,15 +190,15 @@ def for_jax() -> property:
 def _refuse(expr: Any) -> NoReturn:
     raise ModelError(
         f"a function of jax or jax.numpy expects arrays, got the expression {repr(expr)[:60]}.\n"
-        "  fix: write np for jnp, np.sin(x), np.linalg.norm(x), or the node, tx.Sin(x), tx.linalg.Norm(x); "
-        "wrap a function of arrays or a network, tx.Function(f, shape)(x); or lower first, tx.lower(x)"
+        "  fix: use NumPy, np.sin(x), np.linalg.norm(x), or a node, tx.Sin(x), tx.linalg.Norm(x); wrap a "
+        "function of arrays or a network by tx.Function(f, shape)(x); or use the lowered function tx.lower(x)"
     )
 
 
 @functools.cache
 def refuse_in_jax(cls: type) -> None:
-    """Raise that error too where an operation of JAX gets an expression that no function of JAX has converted before,
-    as in a layer of a network: `weight @ x` is an expression, its activation an operation of JAX.
+    """Raise that error also if an operation of JAX gets an expression that no function of JAX has converted before, as
+    in a layer of a network, where `weight @ x` is an expression and its activation is an operation of JAX.
     """
     from ..jax_inside import refuse_as_argument
 

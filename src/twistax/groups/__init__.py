@@ -1,4 +1,4 @@
-"""Lie groups on plain arrays: the numeric maps of SO(3) and SE(3), and groups of one interface for states."""
+"""Lie groups on plain arrays: the numeric maps of SO(3) and SE(3), and groups with a common interface for states."""
 
 from twistax.groups import se3, so3
 from twistax.groups.euclidean import Euclidean

@@ -1,4 +1,4 @@
-"""Elements of groups as plain numbers that an ODE solver can add and scale: quaternions, positions, entries."""
+"""Group elements as plain numbers that an ODE solver can add and scale: quaternions, positions, matrix entries."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from twistax.groups import quaternions, se3, so3
 from twistax.groups.arrays import unpack, vector
 from twistax.groups.group import Group
 
-#: What the numbers of a rotation and of a position are called after a state's name and a dot, as in tables.
+#: The suffixes of the numbers of a rotation and of a position, after a state's name and a dot, as in tables.
 _QUATERNION, _POSITION = ("qw", "qx", "qy", "qz"), ("x", "y", "z")
 
 
@@ -23,8 +23,8 @@ class AmbientNumbers(NamedTuple):
         write: an element as numbers.
         read: numbers as an element; quaternions of any length.
         rate: the rate of numbers for a body velocity.
-        labels: what the numbers are called; empty where they are the entries of the element.
-        shape: of the numbers.
+        labels: names of the numbers; empty if they are the entries of the element.
+        shape: shape of the numbers.
     """
 
     write: Callable[[jax.Array], jax.Array]
@@ -34,7 +34,7 @@ class AmbientNumbers(NamedTuple):
     shape: tuple[int, ...]
 
     def beside(self, y: jax.Array, before: jax.Array) -> jax.Array:
-        """The numbers y or those with the other sign of the quaternion, whichever is nearer to `before`."""
+        """The numbers y, or those with the opposite sign of the quaternion, whichever are closer to `before`."""
         if not self.labels:
             return y
         q = jnp.where(jnp.sum(y[:4] * before[:4]) < 0.0, -y[:4], y[:4])
@@ -42,7 +42,9 @@ class AmbientNumbers(NamedTuple):
 
 
 def ambient_numbers(group: Group, quaternion: bool = True) -> AmbientNumbers:
-    """Rotations as quaternions (w, x, y, z) and poses as [quaternion, position], or as matrices; others as they are."""
+    """Rotations as quaternions (w, x, y, z) and poses as [quaternion, position], or both as matrices; other states
+    unchanged.
+    """
     if not (quaternion and group.rigid):
         return AmbientNumbers(_same, _same, group.entry_rate, (), group.shape)
     if group.dimension == 3:

@@ -1,4 +1,7 @@
-"""Types of arrays with their shapes, by jaxtyping where that is loaded: it takes a third of `import twistax`."""
+"""Types of arrays with their shapes.
+
+They are jaxtyping's if jaxtyping is already imported. To import it would take a third of the time of `import twistax`.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Arguments of the numeric maps as arrays, and formulas of small vectors.
 
-Small vectors are tuples of their components: XLA turns scalar arithmetic into a few instructions, while products of 3x3
-arrays inside a loop become calls. The public maps unpack their arguments here and pack the result once.
+Small vectors are tuples of their components: XLA compiles scalar arithmetic to a few instructions, while products of
+3x3 arrays inside a loop become function calls. The public maps unpack their arguments here and pack the result once.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ _TYPED = (Array, np.ndarray, np.generic)
 
 
 def floats(*values: Input, names: Sequence[str] = ()) -> tuple[Array, ...]:
-    """The values as floating point arrays. Lists and plain numbers take the precision of the arrays beside them.
+    """The values as floating point arrays. Lists and plain numbers have the precision of the other arrays.
 
-    `names` are for messages. Raises InputError for what is not made of real numbers.
+    `names` are used in messages. Raises InputError for values that are not real numbers.
     """
     arrays = [
         value if isinstance(value, Array) and jnp.issubdtype(value.dtype, jnp.floating) else real_array(name, value)
@@ -46,7 +46,9 @@ def floats(*values: Input, names: Sequence[str] = ()) -> tuple[Array, ...]:
 
 
 def of_shape(function: str, shapes: Mapping[str, tuple[int, ...]], *values: Input) -> tuple[Array, ...]:
-    """`floats`, after which every array must have the shape that `shapes` gives for its name, in this order."""
+    """The result of `floats`, with a check that every array has the shape that `shapes` contains for its name, in this
+    order.
+    """
     arrays = floats(*values, names=[f"{function}: {name}" for name in shapes])
     for (name, expected), array in zip(shapes.items(), arrays, strict=True):
         if array.shape != expected:
@@ -56,7 +58,7 @@ def of_shape(function: str, shapes: Mapping[str, tuple[int, ...]], *values: Inpu
 
 
 def known(a: Array) -> np.ndarray | None:
-    """The array as one of NumPy; None where it is traced."""
+    """The array as a NumPy array; None if it is traced."""
     from twistax.jax_inside import is_traced  # not at import: it loads much of JAX that `import jax` does not
 
     return None if is_traced(a) else np.asarray(a)
@@ -65,7 +67,7 @@ def known(a: Array) -> np.ndarray | None:
 def element(function: str, name: str, g: Array, drift: float = 0.1) -> Array:
     """Check a rotation (3, 3) or a pose (4, 4), and return it; a traced matrix that is not an element becomes NaN.
 
-    The maps of a reflection or of zeros would give plausible numbers without meaning. Raises InputError.
+    For a reflection or zeros, the maps would return plausible but meaningless numbers. Raises InputError.
     """
     numbers = known(g)
     if numbers is None:
@@ -74,9 +76,10 @@ def element(function: str, name: str, g: Array, drift: float = 0.1) -> Array:
     det = np.nan if np.isnan(off) else float(np.linalg.det(numbers[:3, :3]))
     if not (off <= drift and det > 0.0):
         raise InputError(
-            f"{function} expects {name} to be {'a rotation' if len(numbers) == 3 else 'a pose'}, R orthonormal with "
-            f"determinant +1, at most {drift:.1g} off, got\n{numbers}, off by {off:.3g}, det R = {det:.6g}.\n"
-            "  fix: tx.pose(...) builds one; tx.SO3.normalize(R) takes the rotation nearest to a drifted matrix"
+            f"{function} expects {name} to be {'a rotation' if len(numbers) == 3 else 'a pose'}, R "
+            f"orthonormal with determinant +1 up to {drift:.1g}, got\n"
+            f"{numbers}, with an error of {off:.3g}, det R = {det:.6g}.\n"
+            "  fix: tx.pose(...) builds one; tx.SO3.normalize(R) returns the rotation nearest to a matrix"
         )
     return g
 
@@ -111,8 +114,8 @@ def element_defect(value: np.ndarray) -> float:
 def multiply(a: Array, b: Array) -> Array:
     """a @ b for a small matrix a and a small matrix or a vector b, as a sum of products.
 
-    XLA fuses it with its surroundings, where a matrix product would be a call; and accelerators round the factors of
-    a float32 matrix product to fewer bits, which they never do here.
+    XLA fuses it with surrounding operations, while a matrix product would be a function call. Accelerators round the
+    factors of a float32 matrix product to fewer bits, which does not happen here.
     """
     if b.ndim == 1:
         return jnp.sum(a * b[None, :], axis=1)
@@ -199,16 +202,19 @@ def dual_polynomial(w: Components, v: Components, a: Array | float, b: Array, da
 
 
 def rotation_rate(w: Components, u: Components, d: Array | float) -> Components:
-    """J_r(w)^-1 u = u + w x u / 2 + d w x (w x u), d = (1 - (t/2) cot(t/2)) / t^2; a d of exactly 0.0 is left out."""
+    """J_r(w)^-1 u = u + w x u / 2 + d w x (w x u), d = (1 - (t/2) cot(t/2)) / t^2; the term with d is omitted if d is
+    exactly 0.0.
+    """
     if isinstance(d, float) and d == 0.0:
         return add(u, scale(0.5, cross(w, u)))
     return add(u, cross(w, add(scale(0.5, u), scale(d, cross(w, u)))))
 
 
 def pose_rate(eta: Components, omega: Components, d: Array | float, rise: Array | float) -> Components:
-    """J_r(eta)^-1 Omega with J_r^-1 = I + W/2 + d W^2 for rotations, `rise` being the derivative of d by |w|^2.
+    """J_r(eta)^-1 Omega with J_r^-1 = I + W/2 + d W^2 for rotations, where `rise` is the derivative of d with respect
+    to |w|^2.
 
-    Terms with a d or a rise of exactly 0.0 are left out.
+    Terms with a d or a rise of exactly 0.0 are omitted.
     """
     v, w, y, u = eta[:3], eta[3:], omega[:3], omega[3:]
     turn, shift = cross(w, u), add(cross(w, y), cross(v, u))

@@ -1,4 +1,4 @@
-"""The parts of a table of a solution. Layouts derive from `Layout`, without loading integrators."""
+"""The elements of a table of a solution. Layouts derive from `Layout`, without loading integrators."""
 
 from __future__ import annotations
 
@@ -32,4 +32,4 @@ class Layout(ABC):
 
     @abstractmethod
     def columns(self, solution: Any) -> list[Column]:
-        """The columns of a `Solution`, of one length."""
+        """The columns of a `Solution`, all of the same length."""

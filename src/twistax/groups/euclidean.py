@@ -18,9 +18,10 @@ from twistax.groups.group import Group
 
 @dataclass(frozen=True, init=False)
 class Euclidean(Group):
-    """Arrays of one shape under addition; () and matrices too. The tangent is the array read row by row, (size,).
+    """Arrays of one shape under addition, including scalars () and matrices. The tangent is the array read row by row,
+    (size,).
 
-    `Euclidean(3)` is `Euclidean((3,))`, that is $R^3$. Raises ModelError for anything but a size or a shape.
+    `Euclidean(3)` is `Euclidean((3,))`, that is $R^3$. Raises ModelError for an argument that is not a size or a shape.
     """
 
     shape: tuple[int, ...] = ()

@@ -1,4 +1,4 @@
-"""Euler angles of all twelve sequences of axes: rotations from them, and them from rotations."""
+"""Euler angles of all sequences of axes: rotations from angles, and angles from rotations."""
 
 from __future__ import annotations
 
@@ -9,12 +9,14 @@ from jax import Array
 
 from twistax.errors import InputError
 
-#: What is roll, pitch, yaw: about the fixed axes x, y, z, one after the other.
+#: The sequence of roll, pitch, yaw: successive rotations about the fixed axes x, y, z.
 ROLL_PITCH_YAW = "xyz"
 
 
 class Turns(NamedTuple):
-    """R = E_i(a) E_j(b) E_l(c) with E_n(t) the turn by t about axis n, and the places of a, b, c among three angles."""
+    """R = E_i(a) E_j(b) E_l(c) with E_n(t) the rotation by t about axis n, and the positions of a, b, c among the three
+    angles.
+    """
 
     axes: tuple[int, int, int]
     places: tuple[int, int, int]
@@ -31,17 +33,18 @@ class Turns(NamedTuple):
 
 
 def turns(sequence: str) -> Turns:
-    """The turns that a sequence stands for: "xyz" about fixed axes, first x; "ZYX" about the body's own, first z.
+    """The rotations of a sequence: "xyz" about fixed axes, first x; "ZYX" about body axes, first z.
 
     Raises:
-        InputError: no three letters of one case, or an axis follows itself.
+        InputError: not three letters of one case, or an axis that is repeated immediately.
     """
     axes = tuple("xyz".find(letter) for letter in str(sequence).lower())
     one_case = isinstance(sequence, str) and sequence in (sequence.lower(), sequence.upper())
     if len(axes) != 3 or -1 in axes or not one_case or axes[1] in (axes[0], axes[2]):
         raise InputError(
-            f"a sequence of Euler angles names three axes, none twice in a row, in one case, got {sequence!r}.\n"
-            '  fix: small letters for fixed axes, "xyz", capital ones for the body\'s own, "ZYX" or "ZXZ"'
+            "a sequence of Euler angles consists of three axes in one case, without an immediate "
+            f"repetition, got {sequence!r}.\n"
+            '  fix: use lower-case letters for fixed axes, "xyz", or capital letters for body axes, "ZYX" or "ZXZ"'
         )
     return Turns(axes, (0, 1, 2)) if sequence.isupper() else Turns(axes[::-1], (2, 1, 0))
 
@@ -60,10 +63,11 @@ def rotation(angles: Array, sequence: str) -> Array:
 def angles(R: Array, sequence: str) -> Array:
     """Three angles in rad, in the order of the sequence, of a rotation matrix.
 
-    The middle one is in [-pi/2, pi/2], of a sequence such as "ZXZ" in [0, pi]; the others are in [-pi, pi]. Where it is
-    at an end of its range the axes of the others are one, and only their sum or difference is known: c, the first one
-    about fixed axes and the last one about the body's own, is 0 there, and so is its derivative and that of the middle
-    one. Elsewhere a is read after c has been taken out, so that the angles give R back to round-off close by too.
+    The middle angle is in [-pi/2, pi/2], or for a sequence such as "ZXZ" in [0, pi]; the others are in [-pi, pi]. If it
+    is at an end of its range (gimbal lock), the axes of the two others coincide, and only their sum or difference is
+    defined: then c, the first angle about fixed axes and the last one about body axes, is 0, and its derivative and
+    that of the middle angle are 0, too. Otherwise a is computed after c has been removed, so that the angles reproduce
+    R to round-off also close to gimbal lock.
 
     Source: the entries of E_i(a) E_j(b) E_l(c), multiplied out.
     """

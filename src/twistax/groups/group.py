@@ -19,16 +19,16 @@ from twistax.groups.arrays import Input, floats, multiply, of_shape
 
 @dataclass(frozen=True)
 class ElementPart:
-    """A part of the elements of a group that has a unit of its own, such as the position of a pose.
+    """A part of the elements of a group that has a separate unit, such as the position of a pose.
 
-    It may be left free at an end of a trajectory, is measured in its unit, and has its own columns and curves.
+    A part may be free at an end of a trajectory, is measured in its unit, and has separate table columns and curves.
 
     Attributes:
-        name: what results call it.
-        place: where it stands in an element, as an index of NumPy.
-        entries: the entries of a tangent d that move it: in g Exp(d) the other entries leave the part as it is.
-        unit: "rad" for angles, "" for plain numbers: their changes are compared with 1. "m" or any other unit: changes
-            are compared with the size of the part. A part in rad of shape (3, 3) is a rotation matrix.
+        name: its name in results.
+        place: its location in an element, as a NumPy index.
+        entries: the entries of a tangent d that change it: in g Exp(d) the other entries leave the part unchanged.
+        unit: "rad" for angles, "" for plain numbers: their changes are compared with 1. For "m" or any other unit,
+            changes are compared with the size of the part. A part in rad of shape (3, 3) is a rotation matrix.
     """
 
     name: str
@@ -37,7 +37,7 @@ class ElementPart:
     unit: str = ""
 
     def of(self, values: Any) -> Any:
-        """The part of elements (n, *shape), (n, ...)."""
+        """This part (n, ...) of elements (n, *shape)."""
         return values[(slice(None), *np.index_exp[self.place])]
 
     @property
@@ -49,21 +49,21 @@ class ElementPart:
 class Group(ABC):
     """A Lie group of states with right perturbations: g (+) d = g Exp(d), and rates in the body frame, g' = g hat(xi).
 
-    An element is an array of shape `shape` (for a Product a dict of them), a tangent a vector (dimension,). Groups are
-    values: frozen, hashable, equal when they mean the same. A new group subclasses this and defines the abstract
-    members; the rest follows from them. `tx.testing.check_group` checks it.
+    An element is an array of shape `shape` (for a Product a dict of arrays), and a tangent is a vector (dimension,).
+    Groups are values: frozen, hashable, equal if they have the same meaning. To define a group, subclass this and
+    define the abstract members; the others follow from them. `tx.testing.check_group` checks a group.
     """
 
     #: Whether elements are arrays under addition, whose tangents have the shape of the elements.
     flat: ClassVar[bool] = False
-    #: Whether elements are rotations (3, 3) or poses (4, 4): those that the nodes of `tx.lie` take.
+    #: Whether elements are rotations (3, 3) or poses (4, 4), which the nodes of `tx.lie` accept.
     rigid: ClassVar[bool] = False
-    #: What errors say of how to make an element.
+    #: The remedy in error messages: how to make an element.
     remedy: ClassVar[str] = "take the nearest element, that which normalize of the group gives"
 
     @classmethod
     def examples(cls) -> tuple[Group, ...]:
-        """Instances of this class for the test suites of all groups; by default the one without arguments."""
+        """Instances of this class for test suites of all groups; by default the instance without arguments."""
         return (cls(),)
 
     @property
@@ -83,7 +83,7 @@ class Group(ABC):
 
     @abstractmethod
     def identity(self, dtype: DTypeLike | None = None) -> Any:
-        """The neutral element, in the default precision unless told otherwise."""
+        """The neutral element, by default in JAX's default precision."""
 
     @abstractmethod
     def exp(self, xi: Input) -> Any:
@@ -110,7 +110,7 @@ class Group(ABC):
         """The matrix of eta -> [xi, eta]."""
 
     def bracket(self, xi: Input, eta: Input) -> Float[Array, "n"]:
-        """[xi, eta] = ad_xi eta. Raises ShapeError."""
+        """The Lie bracket [xi, eta] = ad_xi eta. Raises ShapeError for other shapes."""
         n = (self.dimension,)
         xi, eta = of_shape(f"{self.name}.bracket", {"xi": n, "eta": n}, xi, eta)
         return multiply(self.ad(xi), eta)
@@ -132,7 +132,9 @@ class Group(ABC):
         return self.left_jacobian_inv(-floats(xi)[0])
 
     def right_jacobian_inv_apply(self, eta: Input, omega: Input) -> Float[Array, "n"]:
-        """$J_r(eta)^-1 omega$; override it if a formula without the matrix exists. Raises ShapeError."""
+        """$J_r(eta)^-1 omega$; override it if a formula without the matrix exists. Raises ShapeError for other
+        shapes.
+        """
         n = (self.dimension,)
         eta, omega = of_shape(f"{self.name}.right_jacobian_inv_apply", {"eta": n, "omega": n}, eta, omega)
         return multiply(self.right_jacobian_inv(eta), omega)
@@ -143,10 +145,12 @@ class Group(ABC):
 
     @abstractmethod
     def defect(self, g: Any) -> Float[Array, ""]:
-        """How far g is from the group: the largest absolute violation of its defining equations."""
+        """The distance of g from the group: the largest absolute violation of its defining equations."""
 
     def tighten(self, g: Any) -> Any:
-        """A cheap `normalize` for round-off, once in every step; the remaining error is the square of the drift."""
+        """A cheap `normalize` against round-off, applied once in every step; the remaining error is the square of the
+        drift.
+        """
         return self.normalize(g)
 
     def retract(self, g: Any, d: Input) -> Any:
@@ -157,7 +161,7 @@ class Group(ABC):
         """The d with $g (+) d = h$: $Log(g^-1 h)$."""
         return self.log(self.compose(self.inverse(g), h))
 
-    # ---- what states, integrators, problems and tables ask of any group ------------------------------------------
+    # ---- used by states, integrators, problems and tables -----------------------------------------------------------
 
     @cached_property
     def parts(self) -> tuple[ElementPart, ...]:
@@ -188,8 +192,8 @@ class Group(ABC):
         return mask
 
     def sizes(self, g: Any) -> Float[Array, "n"]:
-        """The sizes to which entries of a tangent at g are compared: the length of a part with a unit of length, else
-        1.
+        """The sizes with which entries of a tangent at g are compared: for a part with a unit of length its length,
+        else 1.
         """
         most = jnp.ones(self.dimension, g.dtype)
         for part in self.parts:
@@ -198,18 +202,20 @@ class Group(ABC):
         return most
 
     def entry_rate(self, g: Any, xi: Input) -> Any:
-        """g hat(xi), of the shape of g: the rate of the entries of g where xi is its body velocity."""
+        """The rate g hat(xi) of the entries of g, of the shape of g, for the body velocity xi."""
         (xi,) = floats(xi)
         return jax.jvp(lambda d: self.retract(g, d), (jnp.zeros_like(xi),), (xi,))[1]
 
     def body_velocity(self, g: Any, rate: Any) -> Float[Array, "n"]:
-        """The xi with g hat(xi) = rate; the least-squares solution where the rate is not tangent to the group."""
+        """The body velocity xi with g hat(xi) = rate; the least-squares solution if the rate is not tangent to the
+        group.
+        """
         zero = jnp.zeros(self.dimension, jnp.result_type(g))
         columns = jax.jacfwd(lambda d: self.retract(g, d).reshape(-1))(zero)
         return jnp.linalg.solve(multiply(columns.T, columns), multiply(columns.T, rate.reshape(-1)))
 
     def to_linear_first(self, d: Any) -> Any:
-        """A tangent, or numbers for its entries, with the linear part first where the group has two orders."""
+        """A tangent, or numbers for its entries, with the linear part first for groups that support two orders."""
         return d
 
     @property
@@ -218,13 +224,13 @@ class Group(ABC):
         return None
 
     def with_order(self, order: Any) -> Group:
-        """The same group with tangents in another order. Raises ModelError if the group or the order does not allow
+        """The same group with tangents in another order. Raises ModelError if the group or the order does not support
         it.
         """
-        raise ModelError(f"with_order is for poses, got the group {self.name}")
+        raise ModelError(f"with_order applies to groups of poses, got the group {self.name}")
 
     def known_defect(self, g: np.ndarray) -> float:
-        """`defect` of numbers, in double precision. Works while other values are traced."""
+        """`defect` of an array of numbers, in double precision. It can be called inside a JAX trace."""
         from twistax.jax_inside import in_double  # which loads what the language alone does not need
 
         with in_double():

@@ -1,4 +1,4 @@
-"""Poses from several representations of attitude, and the inverse."""
+"""Poses from several representations of attitude, and inverse conversions."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def _from_rotation(R: Array) -> Array:
 def _from_quaternion(q: Array) -> Array:
     values = known(q)
     if values is not None and not values.any():
-        raise InputError(f"pose expects a quaternion (w, x, y, z) that is not zero, got {values.tolist()}")
+        raise InputError(f"pose expects a nonzero quaternion (w, x, y, z), got {values.tolist()}")
     # Dividing by the largest component first keeps the squares from under- or overflowing.
     return quaternions.to_rotation(q / jnp.max(jnp.abs(q)))
 
@@ -44,7 +44,7 @@ def pose(
     rotation_vector: Input | None = None,
     sequence: str = ROLL_PITCH_YAW,
 ) -> Float[Array, "4 4"]:
-    """The pose [R p; 0 1] of numbers: `twistax.pose`, which takes expressions too, says what the arguments are."""
+    """The pose [R p; 0 1] of numbers; `twistax.pose`, which also accepts expressions, documents the arguments."""
     attitudes: dict[str, tuple[Any, tuple[int, ...], Callable[[Array], Array]]] = {
         "rotation": (rotation, (3, 3), _from_rotation),
         "quaternion": (quaternion, (4,), _from_quaternion),
@@ -70,7 +70,7 @@ def pose(
 
 
 def one_attitude(attitudes: Collection[str]) -> None:
-    """Raise InputError where several attitudes are given."""
+    """Raise InputError for more than one attitude."""
     if len(attitudes) > 1:
         raise InputError(f"pose expects at most one attitude, got {' and '.join(attitudes)}\n  fix: keep one of them")
 
@@ -92,11 +92,11 @@ def euler(R: Input, sequence: str = ROLL_PITCH_YAW) -> Float[Array, "3"]:
 
 
 def rotation_from_quaternion(q: Input) -> Float[Array, "3 3"]:
-    """The rotation matrix of a quaternion (w, x, y, z) of any length but zero. Raises ShapeError."""
+    """The rotation matrix of a quaternion (w, x, y, z) of any nonzero length. Raises ShapeError for other shapes."""
     (q,) = of_shape("rotation_from_quaternion", {"q": (4,)}, q)
     return quaternions.to_rotation(q)
 
 
 def quaternion_product(p: Input, q: Input) -> Float[Array, "4"]:
-    """The Hamilton product p q of (w, x, y, z) quaternions; R(p q) = R(p) R(q). Raises ShapeError."""
+    """The Hamilton product p q of (w, x, y, z) quaternions; R(p q) = R(p) R(q). Raises ShapeError for other shapes."""
     return quaternions.hamilton(*of_shape("quaternion_product", {"p": (4,), "q": (4,)}, p, q))

@@ -1,4 +1,4 @@
-"""Several elements of one group on a leading axis: the states of a fleet."""
+"""Several elements of one group on a leading axis, such as the states of a fleet."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from twistax.groups.group import ElementPart, Group
 
 @dataclass(frozen=True)
 class GroupPower(Group):
-    """The direct product of a group with itself: $G^n$. Maps act on each copy, all copies in one operation.
+    """The direct product of a group with itself: $G^n$. Maps act on all copies in one operation.
 
-    An element is an array (n, *shape) of elements of the group, a tangent the n tangents one after the other, (n d,).
+    An element is an array (n, *shape) of elements of the group; a tangent contains the n tangents successively, (n d,).
 
     Attributes:
-        group: of each copy, whose elements are arrays.
-        count: how many copies, n.
+        group: the group of each copy, whose elements are arrays.
+        count: the number n of copies.
     Raises:
-        ModelError: a group whose elements are no arrays, or a count below one.
+        ModelError: a group whose elements are not arrays, or a count below one.
     """
 
     group: Group

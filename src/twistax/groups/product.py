@@ -1,4 +1,4 @@
-"""Direct products of named groups: the states of a system together."""
+"""Direct products of named groups: the joint state of a system."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from twistax.groups.group import Group
 
 @dataclass(frozen=True, init=False, repr=False)
 class Product(Group):
-    """A direct product of named groups, $SE(3)^N x SO(3)^K x R^m$ and the like.
+    """A direct product of named groups, such as $SE(3)^N x SO(3)^K x R^m$.
 
-    An element is a dict name -> element, a tangent one flat vector whose parts follow the order of declaration (not
-    the sorted keys JAX uses for dicts). Factors may be products themselves. Two products are equal when names, groups
-    and order are. Raises InputError for a dict with missing or unknown names.
+    An element is a dict name -> element. A tangent is one flat vector whose parts are in the order of declaration (not
+    in JAX's order of sorted keys). Factors may be products. Two products are equal if names, groups and order are.
+    Raises InputError for a dict with missing or unknown names.
     """
 
     _factors: tuple[tuple[str, Group], ...]
@@ -78,7 +78,9 @@ class Product(Group):
         return {name: d[part] for name, part in self.slices.items()}
 
     def join(self, parts: Any) -> Float[Array, "n"]:
-        """The tangent vector made of the parts, whatever their order in the dict. Raises ShapeError, InputError."""
+        """The tangent vector of the parts, in any order of the dict. Raises ShapeError and InputError for invalid
+        parts.
+        """
         self._check_names("join", parts)
         if not parts:
             return jnp.zeros(0)

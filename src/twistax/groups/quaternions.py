@@ -1,4 +1,4 @@
-"""Unit quaternions (w, x, y, z), as a way to read, build and repair rotation matrices. R(q) v = q v q*."""
+"""Unit quaternions (w, x, y, z), to read, build and repair rotation matrices. R(q) v = q v q*."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ def _squares(R: Array) -> list[list[Array]]:
 def unscaled(R: Array) -> Array:
     """A positive multiple of the quaternion of R, the first non-zero component positive.
 
-    Any column of 4 q q^T is a multiple of q; the one with the largest diagonal entry is taken, which is at least 1.
-    Multiplying once more by 4 q q^T turns it towards the dominant eigenvector, the quaternion of the rotation nearest
-    to R, so that a drift of size e in R leaves an error of size e^2. A symmetric R keeps w = 0 exactly.
+    Every column of 4 q q^T is a multiple of q; the one with the largest diagonal entry is used, which is at least 1.
+    Another product with 4 q q^T turns it towards the dominant eigenvector, the quaternion of the rotation nearest to R,
+    so that a drift of size e in R leaves an error of size e^2. A symmetric R keeps w = 0 exactly.
     Sources: Shepperd, Quaternion from rotation matrix (1978); Horn, Closed-form solution of absolute orientation
     using unit quaternions (1987).
     """
@@ -53,13 +53,13 @@ def from_rotation(R: Array) -> Array:
 
 
 def to_rotation(q: Array) -> Array:
-    """The rotation matrix of a quaternion of any length but zero."""
+    """The rotation matrix of a quaternion of any nonzero length."""
     q_ = unpack(q)
     return matrix(rotation_rows(q_, 2.0 / (q_[0] * q_[0] + dot(q_[1:], q_[1:]))))
 
 
 def rotation_rows(q: Components, double: Array | float = 2.0) -> list[list[Array]]:
-    """The rows of the rotation matrix of a unit quaternion; of another one with double = 2 / |q|^2."""
+    """The rows of the rotation matrix of a unit quaternion, or of another quaternion with double = 2 / |q|^2."""
     w, x, y, z = q
     ax, ay, az = double * x, double * y, double * z
     wx, wy, wz, xx, xy, xz = w * ax, w * ay, w * az, x * ax, x * ay, x * az

@@ -75,18 +75,18 @@ def exp(xi: Input) -> Float[Array, "4 4"]:
 
 
 def log(T: Input) -> Float[Array, "6"]:
-    """xi = [v; w] with $Exp(xi) = T$ and $|w| <= pi$; for a drifted rotation, of the nearest pose.
+    """The twist xi = [v; w] with $Exp(xi) = T$ and $|w| <= pi$; for a drifted rotation, that of the nearest pose.
 
-    At exactly a half turn the axis whose first non-zero component is positive. Derivatives of every order are those
-    of the map on the group, finite at a half turn. Shapes: (4, 4) -> (6,). Raises ShapeError, and InputError for a
-    matrix that is not a pose. For a traced reflection the result is NaN.
+    At exactly a half turn, the axis is the one whose first non-zero component is positive. Derivatives of every order
+    are those of the map on the group, finite at a half turn. Shapes: (4, 4) -> (6,). Raises ShapeError, and InputError
+    for a matrix that is not a pose. For a traced reflection the result is NaN.
     """
     (T,) = of_shape("se3.log", {"T": (4, 4)}, T)
     return unchecked_log(element("se3.log", "T", T))
 
 
 def unchecked_log(T: Array) -> Array:
-    """`log` of a matrix whose entries are not looked at. NaN, as are its derivatives, for a reflection."""
+    """`log` without a check of the matrix. For a reflection, values and derivatives are NaN."""
     rotation = so3.unchecked_log(T[:3, :3])
     w = unpack(rotation)
     v = swept(w, unpack(T[:3, 3]), -0.5, inverse_derivative(0, dot(w, w)))
@@ -102,7 +102,10 @@ def hat(xi: Input) -> Float[Array, "4 4"]:
 
 
 def vee(X: Input) -> Float[Array, "6"]:
-    """The inverse of hat; of the rotation block the skew part is used. Shapes: (4, 4) -> (6,). Raises ShapeError."""
+    """The inverse of hat. It uses the skew-symmetric part of the rotation block. Shapes: (4, 4) -> (6,).
+
+    Raises ShapeError.
+    """
     (X,) = of_shape("se3.vee", {"X": (4, 4)}, X)
     return jnp.concatenate([X[:3, 3], so3.vee(X[:3, :3])])
 

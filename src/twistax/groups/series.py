@@ -1,13 +1,14 @@
-"""The guarded coefficient functions of the rotation maps. Nothing else in the package divides by an angle.
+"""The coefficient functions of the rotation maps, guarded against cancellation. No other file in the package divides by
+an angle.
 
-Every function takes x = theta^2, because all of them are smooth in x, at zero too. Three rules keep them exact:
+Every function takes x = theta^2, because all of them are smooth in x, also at zero. Three rules keep them accurate:
 
-* where the closed form cancels, a short series takes over; the closed form then gets a clipped argument, so that the
-  branch that is not taken stays finite;
-* each function carries its own derivative, again a function of this file, so that derivatives of any order are as
-  well guarded as the values and no derivative of a square root is ever taken;
-* the number of terms follows the precision of x. The switch points do not need to: cancellation costs the same
-  number of units in the last place in every precision.
+* if the closed form cancels, a short series replaces it; the closed form then has a clipped argument, so that the
+  branch that is not selected stays finite;
+* each function defines its derivative, again a function of this file, so that derivatives of any order are as accurate
+  as the values, and no square root is differentiated;
+* the number of terms follows the precision of x. The switch points need not: cancellation costs the same number of
+  units in the last place in every precision.
 """
 
 from __future__ import annotations

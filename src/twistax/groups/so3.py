@@ -52,7 +52,7 @@ def exp(w: Input) -> Float[Array, "3 3"]:
 
 @jax.custom_jvp
 def unchecked_log(R: Array) -> Array:
-    """`log` of a matrix whose entries are not looked at. NaN, as are its derivatives, for a reflection."""
+    """`log` without a check of the matrix. For a reflection, values and derivatives are NaN."""
     w, x, y, z = unpack(quaternions.unscaled(R))
     axis = (x, y, z)
     ratio = jnp.where(determinant(R) > 0.0, angle_ratio(dot(axis, axis), w), jnp.nan)
@@ -69,11 +69,11 @@ def _log_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Arra
 
 
 def log(R: Input) -> Float[Array, "3"]:
-    """The rotation vector w with $Exp(w) = R$, $|w| <= pi$, in rad; for a drifted R, of the nearest rotation.
+    """The rotation vector w with $Exp(w) = R$, $|w| <= pi$, in rad; for a drifted R, that of the nearest rotation.
 
-    At exactly a half turn the axis whose first non-zero component is positive. Derivatives of every order are those
-    of the map on the group, finite at a half turn. Shapes: (3, 3) -> (3,). Raises ShapeError, and InputError for a
-    matrix that is not a rotation. For a traced reflection the result is NaN.
+    At exactly a half turn, the axis is the one whose first non-zero component is positive. Derivatives of every order
+    are those of the map on the group, finite at a half turn. Shapes: (3, 3) -> (3,). Raises ShapeError, and InputError
+    for a matrix that is not a rotation. For a traced reflection the result is NaN.
     """
     (R,) = of_shape("so3.log", {"R": (3, 3)}, R)
     return unchecked_log(element("so3.log", "R", R))
@@ -88,7 +88,7 @@ def hat(w: Input) -> Float[Array, "3 3"]:
 
 
 def vee(W: Input) -> Float[Array, "3"]:
-    """The inverse of hat; of other matrices the skew part is used. Shapes: (3, 3) -> (3,). Raises ShapeError."""
+    """The inverse of hat. It uses the skew-symmetric part of W. Shapes: (3, 3) -> (3,). Raises ShapeError."""
     (W,) = of_shape("so3.vee", {"W": (3, 3)}, W)
     _, xy, xz, yx, _, yz, zx, zy, _ = unpack(W)
     return vector([0.5 * (zy - yz), 0.5 * (xz - zx), 0.5 * (yx - xy)])

@@ -16,11 +16,10 @@ from .controls import OfTime, controls_of
 
 
 class AmbientSystem:
-    """A system's state and rates in numbers that a general ODE solver can add and scale.
+    """A system's state and rates as arrays that a general ODE solver can add and scale.
 
-    Poses become [quaternion, position] (7,), rotations quaternions (4,), w first, or both stay matrices; states
-    without a group, and the entries of those on other groups, are as they are. Quaternions are read with any length, so
-    their drift does no harm.
+    Poses become [quaternion, position] (7,), and rotations become quaternions (4,), w first; or both remain matrices.
+    Other states are unchanged. Quaternions need not have unit length, so their drift has no effect.
 
     Args:
         dynamics: the compiled system.
@@ -35,12 +34,12 @@ class AmbientSystem:
         self._numbers = {name: ambient_numbers(group, quaternion) for name, group in dynamics.group.factors.items()}
 
     def to_ambient(self, x: Mapping[str, Any]) -> Arrays:
-        """The numbers of a state. Raises InputError as a call of the dynamics does."""
+        """The arrays of a state. Raises InputError as a call of the dynamics does."""
         states = self.dynamics.functions.prepare(0.0, x, reads=()).x
         return {name: numbers.write(states[name]) for name, numbers in self._numbers.items()}
 
     def from_ambient(self, y: Mapping[str, Any]) -> Arrays:
-        """The state of one set of numbers; map over saved times with jax.vmap."""
+        """The state of one set of arrays; use jax.vmap for saved times."""
         return {name: numbers.read(jnp.asarray(y[name])) for name, numbers in self._numbers.items()}
 
     def vector_field(self, t: Any, y: Mapping[str, Any], args: Any = None) -> Arrays:
@@ -48,7 +47,7 @@ class AmbientSystem:
         return self.rates(y, read_arguments(self.dynamics, t, self.from_ambient(y), args).rates(self.dynamics))
 
     def rates(self, y: Mapping[str, Any], velocities: Mapping[str, Any]) -> Arrays:
-        """y' of the rates that the dynamics give: body velocities of rotations and poses."""
+        """y' from the rates of the dynamics, which are body velocities for rotations and poses."""
         return {name: numbers.rate(jnp.asarray(y[name]), velocities[name]) for name, numbers in self._numbers.items()}
 
 
@@ -65,7 +64,8 @@ class Arguments:
     def rates(self, dynamics: Dynamics, t: jax.Array | None = None, h: jax.Array | None = None) -> Arrays:
         """The rates at this point, for controls within the step from t to t + h.
 
-        A solver that picks its own steps has no step to look into: without one tables are read at the time itself.
+        A solver that chooses its own step lengths does not know the step; without one, tables are evaluated at the time
+        itself.
         """
         start, length = (self.t, jnp.zeros_like(self.t)) if t is None or h is None else (t, h)
         now = self.signals.during(dynamics, start, length)(self.t)
@@ -75,7 +75,7 @@ class Arguments:
 def read_arguments(dynamics: Dynamics, t: Any, x: Mapping[str, Any], args: Any) -> Arguments:
     """Time, state and args = (u, params), or None, checked and in one precision. Traceable. Raises InputError."""
     if args is not None and not (isinstance(args, (tuple, list)) and len(args) == 2):
-        raise InputError(f"args must be (u, params), both as tx.integrate takes them, or None; got {args!r}")
+        raise InputError(f"args expects (u, params), both in the form of tx.integrate, or None; got {args!r}")
     u, params = (None, None) if args is None else args
     controls = controls_of(u)
     inputs = dynamics.functions.prepare(t, x, controls.sample(t), params)

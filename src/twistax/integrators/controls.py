@@ -1,4 +1,4 @@
-"""Controls during an integration: held arrays, tables over time, or a function of time."""
+"""Controls during an integration: constant arrays, tables over time, or a function of time."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ..system.dynamics import Arrays, Dynamics
 from ..system.inputs import is_finite, need_representable, read_values
 from ..units import same_unit, seconds
 
-#: Tables of more times are searched by halving.
+#: Tables with more times are searched by bisection.
 _SHORT = 64
 
 
@@ -34,20 +34,20 @@ def _floats(place: str, value: Any) -> jax.Array:
 
 def row_at(ts: jax.Array, t: jax.Array) -> jax.Array:
     """The last row whose time is not after t; -1 before the first row."""
-    # Comparing with every time has a scalar form, which kernels need; for long tables it takes longer.
+    # Comparing with every time has a scalar form, which kernels require; for long tables it is slower.
     method = "compare_all" if ts.size <= _SHORT else "scan_unrolled"
     return jnp.searchsorted(ts, t, side="right", method=method) - 1
 
 
 class ControlTable(ABC):
-    """Values over time for one control. A pytree: new numbers in a table of the same size do not compile again.
+    """Values over time for one control. A pytree: other numbers in a table of the same size do not recompile.
 
     Attributes:
         ts: (n,) increasing times in s.
         values: (n, ...), the control's shape after the first axis.
 
     Raises:
-        ShapeError: the two do not fit each other.
+        ShapeError: the shapes of the two do not match.
         InputError: times that do not increase, or have another unit than s; a value that is not finite.
     """
 
@@ -84,7 +84,7 @@ class ControlTable(ABC):
         return table
 
     def astype(self, dtype: Any) -> ControlTable:
-        """The same table in another precision. Raises InputError if the values do not fit."""
+        """The same table in another precision. Raises InputError if its values cannot be represented."""
         if self.ts.dtype == dtype and self.values.dtype == dtype:
             return self
         for place, array in (("times", self.ts), ("values", self.values)):
@@ -93,12 +93,12 @@ class ControlTable(ABC):
 
     @property
     def first(self) -> Any:
-        """The first row, a NumPy array if it is known."""
+        """The first row; a NumPy array if it is known."""
         return self.values[0] if is_traced(self.values) else np.asarray(self.values)[0]
 
     @property
     def times(self) -> Any:
-        """ts, as a NumPy array if it is known."""
+        """The times `ts`; a NumPy array if they are known."""
         return self.ts if is_traced(self.ts) else np.asarray(self.ts)
 
     @property
@@ -109,11 +109,11 @@ class ControlTable(ABC):
     def during(self, t: jax.Array, h: jax.Array, within: bool = False) -> Callable[[jax.Array], jax.Array]:
         """The value as a function of the times within the step from t to t + h.
 
-        The table is evaluated slightly nearer to the middle of the step: by much less than a step, but more than
-        round-off. So the value is that on the side of a jump or a kink on which the step lies, for any step size.
+        The table is evaluated slightly closer to the middle of the step: by much less than a step, but more than
+        round-off. So at a jump or a kink, the value is that on the side of the step, for any step size.
 
         Args:
-            within: the step lies between two rows, which are looked up once for all of its times.
+            within: whether the step lies between two rows, which are then looked up once for all of its times.
         """
         middle, eps = t + 0.5 * h, float(jnp.finfo(t.dtype).eps)
         rounding = 8.0 * eps * jnp.abs(middle) / jnp.maximum(jnp.abs(h), float(jnp.finfo(t.dtype).tiny))
@@ -140,15 +140,19 @@ class ControlTable(ABC):
         """The value at a time of the piece that begins with a row."""
 
     def check_span(self, place: str, t0: float, t1: float) -> None:
-        """Raise InputError where a known table does not cover a span, up to round-off."""
+        """Raise InputError if a known table does not cover a span, up to round-off."""
         if is_traced(self.ts):
             return
         room = 8.0 * float(jnp.finfo(self.ts.dtype).eps) * max(abs(t0), abs(t1))
         first, last = np.asarray(self.ts)[[0, -1]].tolist()  # NumPy's: inside jit JAX's indexing traces
         if first > t0 + room:
-            raise InputError(f"{place} begins at {first:g}, but the integration at t0 = {t0:g}.\n  fix: a row at t0")
+            raise InputError(
+                f"{place} begins at {first:g}, but the integration begins at t0 = {t0:g}.\n  fix: add a row at t0"
+            )
         if last < t1 - room and not self.holds_on:
-            raise InputError(f"{place} ends at {last:g}, but the integration at t1 = {t1:g}.\n  fix: a row at t1")
+            raise InputError(
+                f"{place} ends at {last:g}, but the integration ends at t1 = {t1:g}.\n  fix: add a row at t1"
+            )
 
     def _row(self, t: jax.Array) -> jax.Array:
         """The last row whose time is not after t, of those that begin a piece."""
@@ -161,14 +165,14 @@ class ZeroOrderHold(ControlTable):
 
     There is no value before ts[0]: an integration must not begin earlier.
 
-    A step that starts or ends at a jump uses the value inside the step for all of its stages, and `tx.integrate` ends a
-    step at every jump. So the method keeps its order.
+    `tx.integrate` ends a step at every jump, and a step that starts or ends at a jump uses the value inside the step
+    for all of its stages. So the method keeps its order.
 
     Args:
         ts: (n,) times in s, increasing.
         values: (n, *shape) rows of the control's shape, in its unit.
     Raises:
-        ShapeError: another number of rows.
+        ShapeError: `values` does not have a row for each time.
         InputError: times that do not increase, or a value that is not finite.
     """
 
@@ -183,13 +187,13 @@ class PiecewisePolynomial(ControlTable):
     """A control that is a polynomial in time between the times of a table: from ts[i] until ts[i + 1]
     $sum_k values[i, k] (t - ts[i])^k / k!$. The last polynomial continues without end.
 
-    So values[i] has the value at ts[i] and the right-hand derivatives. There is no value before ts[0].
+    So values[i] contains the value at ts[i] and the right-hand derivatives. There is no value before ts[0].
 
     Args:
         ts: (n,) times in s, increasing.
         values: (n, degree + 1, *shape) the value, then its derivatives, the k-th in the control's unit per `s^k`.
     Raises:
-        ShapeError: another number of rows, or rows without an axis of derivatives.
+        ShapeError: `values` does not have a row for each time, or has no axis of derivatives.
         InputError: times that do not increase, or a value that is not finite.
     """
 
@@ -220,7 +224,7 @@ class FirstOrderHold(ControlTable):
 
     There is no value outside of `ts`: the table must cover the whole integration.
 
-    Args, Raises: ts and values as for `ZeroOrderHold`, two rows or more.
+    Args, Raises: `ts` and `values` as for `ZeroOrderHold`, with at least two rows.
     """
 
     rows = 2
@@ -234,12 +238,12 @@ class FirstOrderHold(ControlTable):
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class ByName:
-    """Controls by name, each an array that is held or a table."""
+    """Controls by name, each a constant array or a table."""
 
     values: Mapping[str, Any]
 
     def sample(self, t: Any) -> Mapping[str, Any]:
-        """A value of every control, to check names and shapes with."""
+        """A value of every control, for checks of names and shapes."""
         return {name: v.first if isinstance(v, ControlTable) else v for name, v in self.values.items()}
 
     def check_span(self, t0: float, t1: float) -> None:
@@ -254,7 +258,7 @@ class ByName:
         return [value.jumps for value in self.values.values() if isinstance(value, ControlTable)]
 
     def prepared(self, arrays: Mapping[str, Any], dtype: Any) -> ByName:
-        """The same controls in the precision of the state; `arrays` are already cast."""
+        """The same controls in the precision of the state; `arrays` are already converted."""
         return ByName(
             {n: v.astype(dtype) if isinstance(v, ControlTable) else arrays[n] for n, v in self.values.items()}
         )
@@ -262,7 +266,7 @@ class ByName:
     def during(
         self, dynamics: Dynamics, t: jax.Array, h: jax.Array, within: bool = False
     ) -> Callable[[jax.Array], Arrays]:
-        """The prepared controls as a function of the times within the step from t to t + h, as of a `ControlTable`."""
+        """The prepared controls as a function of the times within the step from t to t + h, as in `ControlTable`."""
         tables = {
             name: value.during(t, h, within) for name, value in self.values.items() if isinstance(value, ControlTable)
         }
@@ -280,13 +284,15 @@ class OfTime:
         self.function, self.inputs = function, inputs
 
     def sample(self, t: Any) -> Mapping[str, Any]:
-        """The controls at a time. Raises InputError if the function does not return a dict, or needs a number."""
+        """The controls at a time. Raises InputError if the function does not return a dict, or requires a concrete
+        number as time.
+        """
         try:
             values = self.function(t, *self.inputs)
         except (jax.errors.ConcretizationTypeError, jax.errors.TracerArrayConversionError) as error:
             raise InputError(
-                f"the function u needs t as a number, but t is traced: {str(error).splitlines()[0]}\n"
-                "  fix: choose with jnp.where(t < ..., a, b), and call jax.numpy in place of NumPy and math"
+                f"the function u requires a number t, but t is traced: {str(error).splitlines()[0]}\n"
+                "  fix: use jnp.where(t < ..., a, b) in place of if, and jax.numpy in place of NumPy and math"
             ) from None
         if not isinstance(values, Mapping):
             raise InputError(f"the function u must return a dict by control name, got {type(values).__name__}")
@@ -305,7 +311,7 @@ class OfTime:
     def during(
         self, dynamics: Dynamics, t: jax.Array, h: jax.Array, within: bool = False
     ) -> Callable[[jax.Array], Arrays]:
-        """The function, its values checked and cast."""
+        """The function, with its values checked and converted."""
         return lambda time: read_values("u(t)", dynamics.controls, self.sample(time), time.dtype)
 
 
@@ -322,7 +328,7 @@ Signals: TypeAlias = ByName | OfTime
 
 
 def controls_of(u: Any) -> Signals:
-    """The controls `u`, in one of the two forms. Raises InputError for anything else."""
+    """The controls `u`, as `ByName` or `OfTime`. Raises InputError for other objects."""
     if u is None:
         return ByName({})
     if isinstance(u, Mapping):
@@ -330,11 +336,13 @@ def controls_of(u: Any) -> Signals:
             if callable(value):
                 raise InputError(
                     f"u[{name!r}] is a function.\n"
-                    f"  fix: give one function of time for all controls, u=lambda t: {{{name!r}: ...}}, or a table"
+                    f"  fix: pass one function of time for all controls, u=lambda t: {{{name!r}: ...}}, or a table"
                 )
         return ByName(dict(u))
     if isinstance(u, ControlTable):
-        raise InputError(f"u must be a dict, got a bare {type(u).__name__}.\n  fix: u={{'name of the control': table}}")
+        raise InputError(
+            f"u must be a dict by control name, got {type(u).__name__}.\n  fix: pass u={{'name of the control': table}}"
+        )
     if callable(u):
         callable_with("u", u, ["t"], InputError)
         return OfTime(u)

@@ -1,6 +1,6 @@
 """Integration of a compiled system over time.
 
-`integrate` reads its options into a `Plan` (options.py): a `Stepper`, a method on a system (method.py),
+`integrate` converts its options into a `Plan` (options.py): a `Stepper`, that is a method with a system (method.py),
 and `Steps` (loop/), which `rollout` compiles (loop/rollout.py). A step of `RKMK` (methods/rkmk.py) is one loop over
 stages in a chart (charts/).
 """
@@ -37,7 +37,7 @@ def integrate(dynamics: Dynamics, x0: Mapping[str, Any], options: Options) -> So
 
     Every state stays in its group, and on the manifold to which the corrections of the system project it. The loop is
     compiled once for the dynamics, the method and the number of saved times: another dt, t1, tolerance, initial state,
-    u or params does not recompile. Where an argument is traced (inside jit, grad, jacfwd or vmap) checks that need
+    u or params does not recompile. If an argument is traced (inside jit, grad, jacfwd or vmap), checks that need
     numbers are skipped: check `Solution.result`.
 
     Derivatives of any order, forward and reverse, with respect to x0, u, params, t0, t1, save_at and the times of
@@ -60,41 +60,42 @@ def integrate(dynamics: Dynamics, x0: Mapping[str, Any], options: Options) -> So
         control: a `StepControl`, the step size controller and the maximal number of steps.
         jumps: sorted times at which u, or the system itself, is discontinuous; steps end there. The times of tables are
             included automatically.
-        u: the controls: a dict of constant arrays or of tables (`ZeroOrderHold`, `FirstOrderHold`); or a
-            traceable function of t that returns the dict and is called at stage times. A function is part of the
-            compiled program: another one recompiles, and the values of its closure are read at compile time.
+        u: the controls: a dict of constant arrays or of tables (`ZeroOrderHold`, `FirstOrderHold`); or a traceable
+            function of t that returns the dict and is evaluated at stage times. A function becomes part of the compiled
+            program: another function recompiles, and the values in its closure are read at compile time.
         params: parameter values; missing ones take their default.
-        save_at: sorted times inside [t0, t1]. Between steps the state is one shorter step of the same method from the
-            step's start, as accurate as the method. By default the final state alone is saved.
+        save_at: sorted times inside [t0, t1]. A state between steps is computed by one shorter step of the same method
+            from the step's start, so it is as accurate as the method. By default only the final state is saved.
         between: with tolerances, `tx.Between.POLYNOMIAL` interpolates saved times without additional steps: the state
             is on a polynomial through the stage derivatives of its step, of order 6 with DOP853, 5 with
             DORMAND_PRINCE8, 4 with DORMAND_PRINCE5 and TSIT5, 3 with BOGACKI_SHAMPINE3, in its group. Derivatives are
             those of the shorter steps.
         dense: store the start of every step, so that `Solution.evaluate` returns the state at any time. With fixed
             steps their number is then part of the compiled program.
-        event: an `Event`, or a list of them: the integration ends at the first root of any condition, with
-            `Result.EVENT`, which is no failure; `Solution.event` is its index. With save_at the last row is the state
-            at the event, after the saved times before it. Events with terminal=False do not end it:
+        event: an `Event`, or a list of events: the integration ends at the first root of any condition, with
+            `Result.EVENT`, which is not a failure; `Solution.event` is the index of the event. With save_at the last
+            row is the state at the event, after the saved times before it. Events with terminal=False do not end it:
             `Solution.crossings` has them. The times and the states of events are differentiable by the implicit
             function theorem.
         max_crossings: capacity of `Solution.crossings` for all events together, sorted by
             time. At the first crossing beyond it the integration ends with `Result.MAX_CROSSINGS`. 128 by default.
-        throw: raise an error when the integration fails. Otherwise the part before the failure is returned, with
-            `result`.
-        progress: True for a progress line, as `tx.trajectory.Progress` writes it; or a function that is called
-            with the time reached in s and the completed fraction of t0 to t1, every hundredth of fixed steps, every 256
-            adaptive steps. It compiles a separate program; nothing is shown where arguments are traced.
-            By default a line with the elapsed seconds appears after two seconds, on a terminal; False shows nothing.
+        throw: whether to raise an error if the integration fails. Otherwise the part before the failure is returned,
+            with `result`.
+        progress: True for a progress line in the form of `tx.trajectory.Progress`; or a function that is called with
+            the time reached in s and the completed fraction of the span from t0 to t1, after every hundredth of fixed
+            steps, or every 256 adaptive steps. It compiles a separate program; nothing is shown if arguments are
+            traced. By default a line with the elapsed seconds appears after two seconds, on a terminal; False shows
+            nothing.
 
     Returns:
-        `Solution(ts, xs, stats, result)`, saved times on the leading axis. Where arguments are traced, states that were
-        not reached are NaN.
+        `Solution(ts, xs, stats, result)`, with saved times on the leading axis. If arguments are traced, states that
+        were not reached are NaN.
 
     Raises:
         InputError: the errors of a call of `dynamics`; values that are not finite; a matrix that is not a rotation;
             invalid times, steps or tolerances; a quantity of `tx.units` that is not a time.
         ModelError: a system that is not compiled; a method that cannot integrate the system, or has no error estimate.
-        IntegrationError: the integration failed. Names the time, the state and the likely cause.
+        IntegrationError: the integration failed. The message names the time, the state and the likely cause.
     """
     return integrated(dynamics, x0, options)
 
@@ -124,7 +125,7 @@ def _integrated(
 
 
 def _inside(result: RolloutResult, start: jax.Array, end: jax.Array, ts: jax.Array) -> RolloutResult:
-    """The result for traced times: NON_FINITE and NaN for times that are refused where they are known."""
+    """The result for traced times: NON_FINITE and NaN for invalid times, which raise an error if they are known."""
     room = 1e-6 * (end - start) + 8.0 * float(jnp.finfo(ts.dtype).eps) * jnp.maximum(jnp.abs(start), jnp.abs(end))
     ordered = (start <= end) & (ts[:-1] <= ts[1:]).all()
     inside = ordered & (ts >= start - room) & (ts <= end + room)
@@ -144,7 +145,7 @@ def _and_end(array: Any, ts: Any, xs: Any, t: Any, end: Any) -> tuple[Any, Any]:
 def solution_of(
     stepper: Stepper, steps: Steps, rolled: RolloutResult, ts: Any, end_only: bool, throw: bool
 ) -> Solution:
-    """The `Solution` of a rollout. With known numbers a failure raises, or the part before it is returned."""
+    """The `Solution` of a rollout. For known numbers, a failure raises an error, or the part before it is returned."""
     outcome, xs, known = rolled.outcome, rolled.xs, not is_traced(rolled.outcome)
     watching = steps.events is not None and any(steps.events.terminal)
     code, tried, accepted, evaluations = outcome.code, outcome.tried, outcome.accepted, outcome.evaluations

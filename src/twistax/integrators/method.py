@@ -1,4 +1,4 @@
-"""The interface of integration methods, and `Stepper`, a method on a system, which the loop over steps calls."""
+"""The interface of integration methods, and `Stepper`, a method with a system, which the loop over steps calls."""
 
 from __future__ import annotations
 
@@ -63,9 +63,9 @@ class StepAttempt:
 class Method(ABC):
     """A one-step method. Methods with equal coefficients are equal, and have equal hashes.
 
-    A new method subclasses this; `tx.integrate` takes any with fixed steps. A method with an error estimate also
-    defines `error_order` and `attempt`, for adaptive steps. One that reads data of the step before defines `before` and
-    `follow`, or `begin` and `resume` for adaptive steps.
+    To define a method, subclass this; `tx.integrate` accepts any method with fixed steps. For adaptive steps, a method
+    with an error estimate also defines `error_order` and `attempt`. A method that uses data of the previous step
+    defines `before` and `follow`, or `begin` and `resume` for adaptive steps.
     """
 
     @property
@@ -88,11 +88,13 @@ class Method(ABC):
         return self.evaluations
 
     def check(self, dynamics: Dynamics) -> None:
-        """Raise ModelError, with the reason, for a system that the method cannot integrate; most methods take all."""
+        """Raise ModelError, with the reason, for a system that the method cannot integrate; most methods accept all
+        systems.
+        """
         return
 
     def coordinates(self, dynamics: Dynamics) -> StateCoordinates:
-        """How the states of a system are stored, with coordinates around the start of a step.
+        """The stored form of the states of a system, with coordinates around the start of a step.
 
         Raises:
             ModelError: the method has no such coordinates; it defines `stored` instead.
@@ -100,7 +102,9 @@ class Method(ABC):
         raise ModelError(f"{self.name} has no coordinates around the start of a step")
 
     def stored(self, dynamics: Dynamics, params: Arrays) -> StoredState:
-        """How the states of a system are stored between steps: by their coordinates, unless a method overrides this."""
+        """The stored form of the states of a system between steps: by their coordinates, unless a method overrides
+        this.
+        """
         return self.coordinates(dynamics)
 
     @abstractmethod
@@ -109,14 +113,14 @@ class Method(ABC):
 
     @property
     def error_order(self) -> int:
-        """The power of the step with which the estimated error of one step falls.
+        """The power of the step length with which the estimated error of one step decreases.
 
         Raises:
             ModelError: the method does not estimate its error.
         """
         raise ModelError(
             f"{self.name} does not estimate its error, so it cannot choose its own steps.\n"
-            "  fix: give dt or steps in place of rtol, or take a pair: tx.RKMK(tx.tableaus.TSIT5)"
+            "  fix: pass dt or steps in place of rtol, or use an embedded pair: tx.RKMK(tx.tableaus.TSIT5)"
         )
 
     def rate(self, field: VectorField, t: jax.Array, y: Blocks) -> Blocks:
@@ -160,7 +164,7 @@ class Method(ABC):
         """One step of length h with its error. Pure and traceable.
 
         Args:
-            tolerances: of the error, for methods that solve equations only as exactly as these ask.
+            tolerances: the tolerances of the error, for methods that solve equations to a fraction of these.
         """
         raise NotImplementedError
 
@@ -170,11 +174,11 @@ class Method(ABC):
         """Raise ModelError where the method has no polynomial between the ends of its steps, for `between`."""
         raise ModelError(
             f"{self.name} has no polynomial between the ends of its steps.\n"
-            "  fix: leave between out, or take tx.RKMK(tableau)"
+            "  fix: leave between out, or use tx.RKMK(tableau)"
         )
 
     def between(self, dynamics: Dynamics, y: Blocks, h: jax.Array, slopes: Any, share: jax.Array) -> Blocks:
-        """The stored state at a share of a step of length h from y. Pure and traceable."""
+        """The stored state at a fraction of a step of length h from y. Pure and traceable."""
         raise NotImplementedError
 
     # ---- derivatives and values ----------------------------------------------------------------------------------
@@ -196,13 +200,13 @@ class Method(ABC):
         return stored.value(self.advance(field, t, stored.enter(x), h))
 
     def step_in_arrays(self, dynamics: Dynamics, t: Any, x: Arrays, u: Arrays, params: Arrays, h: Any) -> Arrays:
-        """The state after one step of length h with constant controls, as arrays all through: for other languages."""
+        """The state after one step of length h with constant controls, with arrays throughout: for other languages."""
         field = VectorField(Dynamics(dynamics.functions.run_by(JAX())), lambda _: u, params)
         return self.step(field, t, x, h)
 
 
 class ChartMethod(Method):
-    """Base of methods of a tableau in a chart, the attributes `tableau` and `chart` of a subclass."""
+    """Base class of methods with a tableau and a chart, the attributes `tableau` and `chart` of a subclass."""
 
     tableau: Any
     chart: Any
@@ -262,7 +266,7 @@ class Stepper:
         return dataclasses.replace(self, dynamics=Dynamics(self.dynamics.functions.outside_loops()))
 
     def clock(self, t: Any) -> Any:
-        """A time of the clock of the loop from one in s, or the other way round; lengths of time alike."""
+        """Converts a time in s to the clock of the loop, or the reverse; lengths of time are converted alike."""
         return t if self.direction is None else self.direction * t
 
     def field(self, t: jax.Array, h: jax.Array) -> VectorField:
@@ -292,7 +296,9 @@ class Stepper:
         return self.method.advance(field, t, y, h)
 
     def follow(self, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array, sampled: bool = False) -> StepAttempt:
-        """The step of `advance` after a step that left `carry`; sampled, with the slopes of the step if it has any."""
+        """The step of `advance` after a step that returned `carry`; with `sampled`, also the slopes of the step if it
+        has any.
+        """
         field, t, h = self._in_s(t, h)
         return (self.method.sampled if sampled else self.method.follow)(field, t, y, carry, h)
 
@@ -318,9 +324,9 @@ class Stepper:
     def first_step(
         self, tolerances: Tolerances, t: jax.Array, y: Blocks, rate: Blocks, fallback: Any, room: Any
     ) -> jax.Array:
-        """A step whose error should be near the tolerance, judged by the rate and by a short Euler step.
+        """A step whose error should be close to the tolerance, estimated from the rate and a short Euler step.
 
-        Pure and traceable; `fallback` where the rates say nothing.
+        Pure and traceable; `fallback` if the rates are not informative.
 
         Source: Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I (1993), section II.4,
         starting step size.
@@ -346,7 +352,7 @@ class Stepper:
 
 
 def jitted(make: Callable[[], Callable[..., Any]], stepper: Stepper, *rest: Any) -> Any:
-    """The function that `make` makes, of a stepper and other pytrees, jitted for the stepper's system alone."""
+    """The jitted function that `make` returns, of a stepper and other pytrees, cached with the stepper's system."""
     function, leaves, _ = flattened(make, stepper, *rest)
     return on_any_mesh(function, *leaves) if spread(leaves) else function(*leaves)
 
@@ -356,9 +362,9 @@ def flattened(
 ) -> tuple[Callable[..., Any], list[Any], Any]:
     """The jitted function on the arrays of its arguments, those arrays, and their structure.
 
-    JAX caches the traces of a function as long as the function lives: each system has its own functions, which go with
-    it. Traces read a twin of the system, so that they do not keep the system alive. JAX caches structures of arguments
-    longer still: so the function takes arrays, and has their structure inside.
+    JAX caches the traces of a function as long as the function exists, so each system has its own functions, which are
+    freed with it. Traces use a copy of the system, so that they do not keep the system alive. JAX caches structures of
+    arguments even longer, so the function takes arrays, and contains their structure.
     """
     functions = stepper.dynamics.functions
     twin = functions.loops.get(Dynamics, lambda: Dynamics(functions.twin()))

@@ -45,7 +45,7 @@ _FIXED, _ADAPTIVE, _CONTROL = RKMK(RK4), RKMK(DOP853, Ambient()), StepControl()
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class StepOptions:
-    """Options of steps; `tx.integrate` says what each field means."""
+    """Options of steps, with the meaning that `tx.integrate` documents."""
 
     dt: Any = None
     steps: int | None = None
@@ -55,7 +55,7 @@ class StepOptions:
     control: StepControl | None = None
 
     def over(self, shared: StepOptions) -> dict[str, Any]:
-        """The fields by name; fields that are None are taken from `shared`."""
+        """The fields by name; fields that are None have the values of `shared`."""
         fields = [field.name for field in dataclasses.fields(StepOptions)]
         values = {name: getattr(self, name) for name in fields}
         return {name: getattr(shared, name) if value is None else value for name, value in values.items()}
@@ -63,7 +63,7 @@ class StepOptions:
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class FlightOptions(StepOptions):
-    """Options that an integration of one phase and of several have in common."""
+    """The options that the integration of one phase and of several phases have in common."""
 
     t0: Any = 0.0
     u: Any = None
@@ -137,7 +137,7 @@ class Plan(NamedTuple):
 
 
 def plan_of(dynamics: Any, x0: Any, options: Options) -> Plan:
-    """Read and check the arguments of `integrate`. Raises its errors before anything is integrated."""
+    """The checked plan of the arguments of `integrate`. Raises its errors before the integration starts."""
     if not isinstance(dynamics, Dynamics):
         need_compiled("integrate", dynamics)
     method = _method_of(dynamics, options)
@@ -178,9 +178,7 @@ def plan_of(dynamics: Any, x0: Any, options: Options) -> Plan:
         polynomial = options.between if options.between is Between.POLYNOMIAL else None
         for name, value in (("control", options.control), ("between", polynomial)):
             if value is not None:
-                raise InputError(
-                    f"{name} is for steps chosen by tolerances: give rtol and atol in place of dt or steps"
-                )
+                raise InputError(f"{name} applies to adaptive steps: pass rtol and atol in place of dt or steps")
         steps, number = equal_steps(start, end, span, options, limits, traced or options.dense, events)
         steps = steps if saves is None else with_saves(steps, number, saves, span, count)
     ends = [options.t1] if options.save_at is None else options.save_at
@@ -217,8 +215,8 @@ def _event_conditions(
         return event_conditions(dynamics, options.event, inputs, signals, options.max_crossings)
     if options.max_crossings is not None:
         raise InputError(
-            "max_crossings is for events that do not end the integration, but event is left out.\n"
-            "  fix: leave it out too, or event=tx.Event(condition, terminal=False)"
+            "max_crossings applies to events that do not end the integration, but there is no event.\n"
+            "  fix: leave it out, or pass event=tx.Event(condition, terminal=False)"
         )
     return None, None
 
@@ -240,7 +238,9 @@ def _adaptive_steps(
     dynamics: Dynamics, method: Method, options: Options, stops: Stops, start: Any, events: EventConditions | None
 ) -> AdaptiveSteps:
     if options.steps is not None:
-        raise InputError("steps is for fixed steps, but rtol or atol is given.\n  fix: leave one of them out")
+        raise InputError(
+            "steps selects fixed steps, but rtol or atol selects adaptive steps.\n  fix: leave one of them out"
+        )
     _ = method.error_order  # a method without an error estimate says so here
     if options.between is Between.POLYNOMIAL:
         method.need_polynomial()
@@ -303,9 +303,9 @@ def need_element(name: str, group: Group, value: Any, place: str = "x0") -> None
 
 
 def tolerances_of(dynamics: Dynamics, rtol: Any, atol: Any, dtype: Any) -> Tolerances:
-    """The tolerances, checked as far as they are known. Raises InputError."""
+    """The tolerances, checked if they are known. Raises InputError for invalid ones."""
     if rtol is None:
-        raise InputError("atol is given without rtol.\n  fix: give both, e.g. rtol=1e-9, atol=1e-9")
+        raise InputError("atol requires rtol.\n  fix: pass both, e.g. rtol=1e-9, atol=1e-9")
     relative = _numbers("rtol", rtol, dtype)
     if relative.shape != ():
         raise InputError(f"rtol must be one number, got shape {relative.shape}; atol may be a dict by state")
@@ -321,7 +321,7 @@ def tolerances_of(dynamics: Dynamics, rtol: Any, atol: Any, dtype: Any) -> Toler
             precise = precise if np.dtype(dtype) == np.float32 else ""
             raise InputError(
                 f"rtol = {float(rtol):g} is below {finest:.1e}, ten times the round-off of {np.dtype(dtype).name}.\n"
-                f"  fix: {precise}give a larger rtol"
+                f"  fix: {precise}pass a larger rtol"
             )
     atol = rtol if atol is None else atol
     names = [state.name for state in dynamics.states]
@@ -344,7 +344,7 @@ def tolerances_of(dynamics: Dynamics, rtol: Any, atol: Any, dtype: Any) -> Toler
 
 
 def _absolute(state: State, value: Any, dtype: Any) -> Any:
-    """The allowed error of one state; a pair for one with a rotation and a position is (rotation, position)."""
+    """The allowed error of one state; for a state with rotation and position a pair (rotation, position)."""
     place, group = f"atol of state {state.name!r}", state.group
     is_pair = isinstance(value, (tuple, list)) and len(value) == 2 and not any(map(np.ndim, value))
     if is_pair and _is_pose(group):

@@ -1,4 +1,4 @@
-"""An integration that is checked and compiled once and called often, with little Python before the steps."""
+"""An integration that is checked and compiled once and called often, with little overhead in Python."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from .methods.projected import need_start_on_manifold
 from .options import Options, need_element, plan_of
 from .results.solution import Solution
 
-#: What a call may change, and the options of `integrate` that stay.
+#: The options that a call may change, and the options of `integrate` that are fixed.
 _GIVEN = ("x0", "u", "params")
 _OPTIONS = tuple(f.name for f in dataclasses.fields(Options) if f.name not in ("throw", "progress", *_GIVEN))
 
@@ -34,13 +34,13 @@ def simulator(
 ) -> Simulator:
     """Compile an integration once for many calls: `fly = tx.simulator(...)`, then `fly(x0)`, `fly(x0, params={...})`.
 
-    A call takes some tens of microseconds of Python in addition to the steps; `tx.integrate`, which checks all
-    of its arguments in every call, takes some hundreds. It checks its arguments, and returns the same `Solution`.
+    A call has an overhead of some tens of microseconds in Python; `tx.integrate`, which checks all of its arguments in
+    every call, takes some hundreds. A call checks its arguments, and returns the same `Solution`.
 
     Args:
         dynamics: a compiled system.
-        x0, u, params: as for `tx.integrate`. A call may pass others of the same names, shapes and kinds; omitted
-            ones keep the values passed here. Functions of time and the times of tables are fixed.
+        x0, u, params: as for `tx.integrate`. A call may pass other values with the same names, shapes and kinds;
+            omitted ones keep the values passed here. Functions of time and the times of tables are fixed.
         throw: as for `tx.integrate`.
         options: all other options of `tx.integrate`, except `progress`; they are fixed.
     Returns:
@@ -65,7 +65,7 @@ class _Slot:
 
 
 class Simulator:
-    """A compiled integration, called with starts, controls and parameters. `tx.simulator` makes it.
+    """A compiled integration, to be called with initial states, controls and parameters. Made by `tx.simulator`.
 
     Attributes:
         dynamics: the compiled system.
@@ -77,7 +77,8 @@ class Simulator:
         plan = plan_of(dynamics, x0, options)
         if plan.traced:
             raise InputError(
-                "simulator expects numbers, got a traced JAX value.\n  fix: tx.integrate inside of jit, vmap and grad"
+                "simulator expects numbers, got a traced JAX value.\n"
+                "  fix: use tx.integrate inside of jit, vmap and grad"
             )
         self._stepper, self._steps = plan.stepper, plan.steps
         self._ts, self._dtype = jax.device_put(plan.ts), plan.t0.dtype
@@ -178,7 +179,7 @@ class Simulator:
             raise InputError(
                 f"{place} expects a value like that of the simulator, {type(before).__name__} of shape "
                 f"{np.shape(getattr(before, 'values', before))} at the same times, got {short(value)}.\n"
-                "  fix: another tx.simulator for other times"
+                "  fix: make another tx.simulator for other times"
             )
         return value.astype(self._dtype)
 

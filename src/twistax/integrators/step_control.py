@@ -26,7 +26,9 @@ _LEAST = 1e-12
 
 
 class ErrorHistory(NamedTuple):
-    """Logarithms of the errors of the last accepted steps, in units of what is allowed; zeros before the first step."""
+    """Logarithms of the errors of the last accepted steps, in units of the allowed error; zeros
+    before the first step.
+    """
 
     last: jax.Array
     before: jax.Array
@@ -45,7 +47,7 @@ class Length(NamedTuple):
 class StepControl:
     """A PID controller of the step size. Its fields have the names of diffrax's PIDController.
 
-    With e_n the error of step n relative to the tolerance, and k the power of h with which it decreases,
+    With e_n the error of step n relative to the tolerance, and k the power of h with which the error decreases,
 
         $h_(n+1) = h_n safety e_n^(-(p + i + d)/k) e_(n-1)^((p + 2 d)/k) e_(n-2)^(-d/k)$
 
@@ -54,15 +56,15 @@ class StepControl:
 
     Attributes:
         pcoeff, icoeff, dcoeff: p, i and d. The default (0, 1, 0) is the standard I controller.
-        safety: factor below 1 between the tolerance and the target error.
+        safety: factor below 1, for a margin between the target error and the tolerance.
         factormin, factormax: bounds of h_(n+1) / h_n; there is no growth after a rejected step.
-        dtmin: an integration that needs shorter steps ends; in s.
-        dtmax: the longest step; in s.
+        dtmin: the shortest step, s; an integration that needs shorter steps fails.
+        dtmax: the longest step, s.
         max_steps: the maximal number of attempted steps.
 
     Raises:
         ModelError: an invalid number.
-        InputError: a length of time in another unit.
+        InputError: a length of time with another unit.
 
     Source: Soderlind, Digital filters in adaptive time-stepping (2003); Hairer, Norsett, Wanner, Solving Ordinary
     Differential Equations I (1993), section II.4.
@@ -102,7 +104,9 @@ class StepControl:
             raise ModelError(f"StepControl: {field} must be {what}" + ("" if value is None else f", got {value!r}"))
 
     def length(self, t: jax.Array, h: jax.Array, limit: jax.Array) -> Length:
-        """The next step: the planned h, not shorter than the resolution of time, and at most up to the next limit."""
+        """The next step: the planned h, but not shorter than the resolution of time, and at most up
+        to the next limit.
+        """
         room = limit - t
         least = jnp.maximum(8.0 * float(jnp.finfo(t.dtype).eps) * jnp.abs(t), self.dtmin or 0.0)
         planned = jnp.maximum(h, least)
@@ -116,7 +120,7 @@ class StepControl:
     def grown(
         self, square: jax.Array, past: ErrorHistory, rejected: jax.Array, order: int
     ) -> tuple[jax.Array, ErrorHistory]:
-        """The factor on h after an accepted step, and the errors to remember. `square` is e_n squared."""
+        """The factor on h after an accepted step, and the updated error history. `square` is e_n squared."""
         now = _log(square)
         p, i, d = self.pcoeff, self.icoeff, self.dcoeff
         exponent = -(p + i + d) * now + (p + 2.0 * d) * past.last - d * past.before
@@ -140,7 +144,9 @@ FINEST = 10.0
 
 
 class Tolerances(NamedTuple):
-    """The allowed error atol + rtol * size, size the state's own or its declared scale, but not less than round-off."""
+    """The allowed error atol + rtol * size, where size is that of the state or its declared scale, but not less than
+    round-off.
+    """
 
     rtol: Any  # ()
     atol: Any  # name -> () or (n,), in the order of the state's deviations
@@ -194,7 +200,7 @@ def _flat(tree: Any) -> jax.Array:
 
 
 def span_of(t0: Any, t1: Any, dt: Any) -> tuple[float, float] | None:
-    """(t0, t1) as plain numbers, None where they are traced. Raises InputError for times or a dt that make no sense."""
+    """(t0, t1) as plain numbers, None for traced ones. Raises InputError for invalid times or an invalid dt."""
     for name, value in (("t0", t0), ("t1", t1), ("dt", dt)):
         if isinstance(value, Quantity):
             same_unit(name, value, seconds)
@@ -208,7 +214,7 @@ def span_of(t0: Any, t1: Any, dt: Any) -> tuple[float, float] | None:
 
 
 def direction_of(t0: Any, t1: Any, dtype: Any) -> Any:
-    """1.0, or -1.0 where the end lies before the start: times by it grow along the integration."""
+    """1.0, or -1.0 if the end lies before the start; times multiplied by it increase along the integration."""
     array: Any = jnp if is_traced((t0, t1)) else np
     return array.where(array.asarray(t1, dtype) < array.asarray(t0, dtype), -1.0, 1.0).astype(dtype)
 
@@ -234,18 +240,18 @@ class Stops(NamedTuple):
         return jnp.where(self.limits > t, self.limits, self.limits[-1]).min()
 
     def leg(self, t0: Any, number: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Start and length of the leg between two limits, the first one from t0."""
+        """Start and length of the leg between two limits; the first leg starts at t0."""
         start = jnp.where(number == 0, t0, self.limits[jnp.maximum(number - 1, 0)])
         return start, self.limits[number] - start
 
 
 def limits_of(t0: Any, t1: Any, jumps: Any, signals: Signals, direction: Any) -> Any:
-    """(m,) the times at which a step must end, in order: jumps that a user named, those of tables, and the end.
+    """(m,) the sorted times at which a step must end: jumps that the user passed, those of tables, and the end.
 
     Args:
-        t0, t1: start and end, on the clock of the loop over steps: times in s by the direction.
+        t0, t1: start and end, on the clock of the loop over steps: times in s multiplied by the direction.
     Raises:
-        InputError: jumps that are no sorted, finite times.
+        InputError: jumps that are not sorted, finite times.
     """
     if jumps is not None:
         same_unit("jumps", jumps, seconds)

@@ -1,4 +1,4 @@
-"""Butcher tableaus, explicit ones and those of collocation: checked when they are made. `tx.tableaus` shows them."""
+"""Butcher tableaus of explicit and collocation methods, which are checked at construction. `tx.tableaus` lists them."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _TOLERANCE = 1e-13
 
 
 class Coefficients:
-    """Base of tableaus and compositions: a name, an order, and coefficients that are checked at construction."""
+    """Base class of tableaus and compositions: a name, an order, and coefficients that are checked at construction."""
 
     name: str
     order: int
@@ -72,7 +72,7 @@ class Coefficients:
 
 
 class StageRows(NamedTuple):
-    """StageRows to run: a (n, n), strictly lower triangular, and c (n,)."""
+    """The coefficients of the stages to compute: a (n, n), strictly lower triangular, and c (n,)."""
 
     a: Any
     c: Any
@@ -86,14 +86,15 @@ class ButcherTableau(Coefficients):
 
     Attributes:
         name: its name in tables.
-        order: the order of convergence of the solution made with b.
+        order: the order of convergence of the solution with the weights b.
         a: (s, s), strictly lower triangular; rows sum to c.
         b, c: (s,); b sums to 1.
-        embedded_order, b_embedded: for pairs, order and weights of the solution that estimates the error, else None.
+        embedded_order, b_embedded: for embedded pairs, order and weights of the solution that estimates the error, else
+            None.
         second_embedded_order, b_second_embedded: a second embedded solution, of lower order, for methods that combine
             two estimates.
-        counted: the stages up to the last one with a weight in b; later ones are for the embedded solutions or the next
-            step.
+        counted: the number of stages up to the last one with a weight in b; later ones are for the embedded solutions
+            or the next step.
 
     Raises:
         ModelError: a wrong shape, a value that is not finite, an implicit stage, or a wrong sum.
@@ -140,7 +141,7 @@ class ButcherTableau(Coefficients):
 
     @functools.cached_property
     def to_the_end(self) -> StageRows:
-        """All stages, with the end of the step as the last one: the tableau's own stage, or an additional one."""
+        """All stages, with the end of the step as the last one: a stage of the tableau, or an additional one."""
         if self.b[-1] == 0.0 and np.array_equal(self.a[-1], self.b):
             return StageRows(self.a, self.c)
         wider = np.pad(np.vstack([self.a, self.b]), ((0, 0), (0, 1)))
@@ -163,7 +164,7 @@ class ButcherTableau(Coefficients):
         if self.embedded_order is None:
             raise self._error(
                 "the method has no embedded solution, so it cannot choose its own steps.\n"
-                "  fix: give dt or steps in place of rtol, or take a pair, tx.tableaus.TSIT5"
+                "  fix: pass dt or steps in place of rtol, or use an embedded pair, tx.tableaus.TSIT5"
             )
         if self.second_embedded_order is None:
             return self.embedded_order + 1
@@ -173,7 +174,7 @@ class ButcherTableau(Coefficients):
         self._check_order(order)
         total = self._read(weights, self.b.shape).sum()
         if abs(total - 1.0) > _TOLERANCE:
-            raise self._error(f"{weights} must sum to 1, it sums to {total:.16g}")
+            raise self._error(f"{weights} must sum to 1, but it sums to {total:.16g}")
 
 
 def lower_triangle(rows: Sequence[Any]) -> NDArray[Any]:
@@ -188,14 +189,14 @@ def lower_triangle(rows: Sequence[Any]) -> NDArray[Any]:
 class CollocationTableau(Coefficients):
     """The coefficients of an implicit Runge-Kutta method with s stages by collocation. Arrays are read-only.
 
-    For $y' = f(t, y)$ the increments z_i of the stages solve $z_i = h sum_j a_ij f(t + c_j h, y + z_j)$, and
-    $y_1 = y + h sum_i b_i f(t + c_i h, y + z_i)$: the polynomial through y whose slope is that of the equation at all
-    nodes c, at the end of the step.
+    For $y' = f(t, y)$ the increments z_i of the stages solve $z_i = h sum_j a_ij f(t + c_j h, y + z_j)$, and $y_1 = y +
+    h sum_i b_i f(t + c_i h, y + z_i)$. These are the values, at the nodes and at the end of the step, of the polynomial
+    through y whose slope satisfies the equation at all nodes c.
 
     Attributes:
         name: its name in tables.
         order: the order of convergence.
-        a: (s, s), not singular; $sum_j a_ij c_j^(k-1) = c_i^k / k$ for k up to s.
+        a: (s, s), nonsingular; $sum_j a_ij c_j^(k-1) = c_i^k / k$ for k up to s.
         b, c: (s,); $sum_i b_i c_i^(k-1) = 1 / k$ for k up to the order; c increases.
 
     Raises:
@@ -274,7 +275,7 @@ class CollocationTableau(Coefficients):
 
     @property
     def symmetric(self) -> bool:
-        """Whether the step with -h is the inverse of the step with h: the nodes are symmetric."""
+        """Whether the step with -h is the inverse of the step with h, which holds if the nodes are symmetric."""
         return bool(np.abs(self.c + self.c[::-1] - 1.0).max() < _TOLERANCE)
 
     @functools.cached_property

@@ -17,7 +17,7 @@ from .loop.fixed_steps import FixedSteps, Saves, Splits, slack
 
 
 def check_saves(save_at: Any, span: tuple[float, float] | None) -> bool:
-    """Check saved times as far as they are known; returns whether they are. Raises InputError."""
+    """Check saved times if they are known; returns whether they are. Raises InputError for invalid ones."""
     same_unit("save_at", save_at, seconds)
     array = real_array("save_at", save_at)
     if array.ndim != 1 or array.size == 0:
@@ -44,10 +44,10 @@ def with_saves(fixed: FixedSteps, steps: int, save_at: Any, span: Any, count: An
     """Equal steps with their saved times.
 
     Args:
-        fixed, steps: the steps, and how many there are without those that jumps add.
+        fixed, steps: the steps, and their number without those that jumps add.
         save_at: the saved times on the clock of the loop.
         span: start and end where they are known numbers.
-        count: how many of the saved times are asked for; the rest is padding.
+        count: the number of requested saved times; the rest is padding.
     """
     start, h = fixed.t0, fixed.h
     known = span is not None and not is_traced(save_at)
@@ -101,7 +101,7 @@ _LIGHT = 2**15
 
 
 def room_for(count: int, width: int) -> int:
-    """The number of rows to allocate, so that most other counts of rows do not compile again.
+    """The number of rows to allocate, such that most other counts of rows do not recompile.
 
     Up to eight times `count` for short rows, else up to twice.
     """

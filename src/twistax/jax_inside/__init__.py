@@ -1,7 +1,7 @@
-"""All that is read of the inside of JAX, diffrax and Equinox, version by version.
+"""The internals of JAX, diffrax and Equinox that this package reads, for each supported version.
 
-Everything else in the package uses their documented interfaces; a test sees an import that goes around this folder.
-Checked with JAX 0.10, 0.11 and 0.12.
+The rest of the package uses only their documented interfaces; a test detects imports outside of this folder. Checked
+with JAX 0.10, 0.11 and 0.12.
 """
 
 from jax.experimental import jet

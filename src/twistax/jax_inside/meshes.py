@@ -13,7 +13,7 @@ from .tracing import has_explicit_axes
 
 
 def on_axes(function: Callable[..., list[Any]], depth: int, unbatched: Collection[int], context: Any) -> Any:
-    """A function of batches that lie on explicit axes of a mesh, for the lowering of it: each device has its members.
+    """A function of batches on explicit axes of a mesh, for its lowering: each device has its members.
 
     None where they do not.
 
@@ -42,7 +42,7 @@ def on_axes(function: Callable[..., list[Any]], depth: int, unbatched: Collectio
 
 
 def is_shared_out(context: Any) -> bool:
-    """Whether XLA shares what is lowered here between the devices of a mesh, outside of `shard_map`.
+    """Whether XLA distributes the lowered operations over the devices of a mesh, outside of `shard_map`.
 
     Exported programs cannot say how.
     """
@@ -54,7 +54,7 @@ def is_shared_out(context: Any) -> bool:
 
 
 def shared_out(function: Callable[..., list[Any]], depth: int, unbatched: Collection[int]) -> Callable[..., list[Any]]:
-    """A function of batches, where XLA shares it between devices: each computes its members.
+    """A function of batches that XLA distributes over devices: each device computes its members.
 
     Args:
         function: the first `depth` axes of its results are those of the batch.

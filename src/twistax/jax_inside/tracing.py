@@ -1,7 +1,7 @@
-"""The inside of JAX that traces and compiles: jaxprs, whether JAX traces, types of arrays on meshes, options of XLA.
+"""Tracing and compilation in JAX: jaxprs, tracing state, array types on meshes, XLA options.
 
-What an equation holds that is not known here makes `Unread`: the caller then leaves that equation to JAX, which gives
-the same numbers, and tells the user once.
+Unknown contents of an equation raise `Unread`: the caller then leaves that equation to JAX, which computes the same
+numbers, and notifies the user once.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ T = TypeVar("T")
 
 
 def undocumented(module: str, name: str, otherwise: Any = None) -> Any:
-    """What a module of JAX has by a name; `otherwise` where this JAX has it elsewhere."""
+    """An attribute of a JAX module; `otherwise` if this version of JAX has it elsewhere."""
     try:
         return getattr(importlib.import_module(module), name)
     except (ImportError, AttributeError):
@@ -40,7 +40,7 @@ _need_devices = undocumented("jax._src.dispatch", "prim_requires_devices_during_
 
 
 class Unread(Exception):
-    """An equation holds parameters that this version of twistax does not know. Never reaches the user."""
+    """An equation has parameters that this version of twistax does not know. Users never see this error."""
 
 
 def parameters(eqn: Any, *known: Collection[str]) -> Mapping[str, Any]:
@@ -74,7 +74,7 @@ def inner_jaxprs(eqn: Any) -> list[ClosedJaxpr]:
 
 
 def expansion(eqn: Any, own_derivatives: bool = True) -> ClosedJaxpr | None:
-    """What a composite operation does, of which JAX 0.12 has some, as searchsorted; None for other operations.
+    """The expansion of a composite operation of JAX 0.12, such as searchsorted; None for other operations.
 
     Args:
         own_derivatives: also of functions that bring their own derivatives.
@@ -180,7 +180,7 @@ def is_key(variable: Any) -> bool:
 
 
 def on_key_data(program: ClosedJaxpr) -> ClosedJaxpr:
-    """The same function with the numbers of random keys in place of keys."""
+    """The function with the raw data of random keys in place of keys."""
     arguments, results = program.jaxpr.invars, program.jaxpr.outvars
     if not any(is_key(v) for v in (*arguments, *results)):
         return program
@@ -199,17 +199,17 @@ def on_key_data(program: ClosedJaxpr) -> ClosedJaxpr:
 
 
 def is_traced(tree: Any) -> bool:
-    """Whether JAX is tracing any leaf: its numbers are not known."""
+    """Whether JAX is tracing any leaf, so that its numbers are not known."""
     return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree))
 
 
 def is_tracing() -> bool:
-    """Whether JAX is tracing anything here; True where that cannot be known."""
+    """Whether JAX is tracing at this point; True if that cannot be determined."""
     return _nothing_traced is None or not _nothing_traced()
 
 
 def weakly_kept(cls: type[T]) -> type[T]:
-    """Tell JAX's caches of traces not to keep what they know alive: parameters of equations, of this class."""
+    """Prevent JAX's trace caches from keeping parameters of equations of this class alive."""
     _weak_types.add(cls)
     return cls
 
@@ -276,17 +276,17 @@ def jax_versions() -> tuple[str, str]:
 
 
 def small_calls_exist() -> bool:
-    """Whether this JAX can attach to a function the attributes that make XLA compile it as one small function."""
+    """Whether this version of JAX can attach the attributes by which XLA compiles a function as one small function."""
     return _set_xla_metadata is not None
 
 
 def xla_metadata(**attributes: str) -> contextlib.AbstractContextManager[Any]:
-    """Attach attributes to what is traced inside; nothing where this JAX cannot."""
+    """Attach attributes to traced operations; does nothing if this version of JAX cannot."""
     return contextlib.nullcontext() if _set_xla_metadata is None else _set_xla_metadata(**attributes)
 
 
 def quick_compile(level: int = 1) -> dict[str, bool | str]:
-    """XLA's options for programs of small arrays: half the time to compile on JAX 0.10, and as fast.
+    """XLA options for programs of small arrays: half the compile time on JAX 0.10, at the same run time.
 
     What the variable XLA_FLAGS sets stays.
 
@@ -301,13 +301,15 @@ def quick_compile(level: int = 1) -> dict[str, bool | str]:
 
 
 def accelerators_exist() -> bool:
-    """Whether this process has devices beside the CPU, on which a computation may run too."""
+    """Whether this process has devices other than the CPU, on which a computation may run."""
     return any(name != "cpu" for name in backends())
 
 
 @contextlib.contextmanager
 def in_double() -> Iterator[None]:
-    """Double precision, on the CPU; and values at once, also in a function that is being traced."""
+    """A context with double precision on the CPU, in which values are computed immediately, also inside traced
+    functions.
+    """
     with jax.enable_x64(True), contextlib.ExitStack() as stack:
         if accelerators_exist():
             stack.enter_context(jax.default_device(jax.local_devices(backend="cpu")[0]))
@@ -333,7 +335,7 @@ def makes_an_array(getter: Any) -> bool:
 
 
 def refuse_as_argument(cls: type, refuse: Callable[[Any], Any]) -> None:
-    """Have JAX call `refuse`, which raises, where an operation gets an object of a class, or of one below it."""
+    """Make JAX call `refuse`, which raises, if an operation gets an instance of a class or of a subclass."""
     _argument_handlers[cls] = refuse
 
 
@@ -345,19 +347,21 @@ def any_of_batch(condition: jax.Array) -> jax.Array:
 
 
 def wrapped_terms() -> tuple[Any, Any]:
-    """diffrax's term that turns time around, and its term of an adjoint."""
+    """diffrax's term for reversed time, and its adjoint term."""
     from diffrax._term import AdjointTerm, WrapTerm
 
     return WrapTerm, AdjointTerm
 
 
 def needs_devices(primitive: Primitive) -> None:
-    """Have JAX say on which devices an equation runs where it is lowered."""
+    """Make JAX report, at lowering, the devices on which an equation runs."""
     _need_devices.add(primitive)
 
 
 def by_one_device(context: Any) -> Any:
-    """The context of a lowering to operations of one device: what varies between devices is of no concern there."""
+    """A context for the lowering to operations of one device, in which types do not record what varies between
+    devices.
+    """
 
     def plain(avals: Sequence[Any]) -> list[Any]:
         return [shaped_array(a.shape, a.dtype) if isinstance(a, jax.core.ShapedArray) else a for a in avals]

@@ -1,4 +1,4 @@
-"""One interval with held controls, and its derivatives in the tangent space."""
+"""One interval with constant controls, and its derivatives in the tangent space."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from .second_order import second_order
 
 
 class Controls:
-    """The place of each control in the flat vector u, every control read row by row.
+    """The positions of the controls in the flat vector u, with each control read row by row.
 
     Attributes:
         dimension: length of the vector.
@@ -44,7 +44,7 @@ class Controls:
         }
 
     def join(self, u: Mapping[str, Any], dtype: Any) -> jax.Array:
-        """The flat vector; a control that nothing reads may be missing and counts as zero."""
+        """The flat vector; a control that no expression reads may be missing and is set to zero."""
         parts = [jnp.asarray(u.get(name, jnp.zeros(s, dtype)), dtype).reshape(-1) for name, s in self._shapes.items()]
         return jnp.concatenate(parts) if parts else jnp.zeros(0, dtype)
 
@@ -52,17 +52,17 @@ class Controls:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Discretization:
-    """The linearised step of an interval: if it starts at $x (+) d$ it ends at $x1 (+) d1$ with
-    $d1 = A d + B du + D_h dh + D_t dt$.
+    """The linearised step of an interval: from $x (+) d$ with controls $u + du$ it ends at $x1 (+) d1$ with $d1 = A d +
+    B du + D_h dh + D_t dt$.
 
     Attributes:
         x1: the end of the interval, by state name.
         A: (n, n), rows and columns in the order of declaration of the states.
         B: (n, m), columns in the order of declaration of the controls, each in row-major order.
-        h_derivative: (n,), with respect to the length of the interval; needed for a free final time.
-        t_derivative: (n,), with respect to the start time; zero if the rates do not contain time.
-        hessian: (N, N), N = n + m + 2, the second derivatives of weights . d1 by (d, du, dh, dt), symmetric; None
-            without weights.
+        h_derivative: (n,), derivative with respect to the length of the interval; needed for a free final time.
+        t_derivative: (n,), derivative with respect to the start time; zero if the rates do not depend on time.
+        hessian: (N, N), N = n + m + 2, the symmetric second derivatives of weights . d1 with respect to (d, du, dh,
+            dt); None without weights.
     """
 
     x1: Arrays
@@ -74,7 +74,9 @@ class Discretization:
 
 
 class Rollout(NamedTuple):
-    """The ends of the substeps of an interval, its start first; all with a leading axis of substeps + 1."""
+    """The states at the ends of the substeps of an interval, starting with its start; with a leading axis of substeps +
+    1.
+    """
 
     ts: jax.Array
     xs: Arrays
@@ -96,26 +98,27 @@ def discretize(
 ) -> Discretization:
     """The end of an interval of length h with constant controls, and its derivatives in the tangent space.
 
-    With $eta(d, u)$ the increment of an RKMK step from $x Exp(d)$, the step is $x Exp(d) Exp(eta)$ and
+    With $eta(d, u)$ the increment of an RKMK step from $x Exp(d)$, the step ends at $x Exp(d) Exp(eta)$, and the
+    derivatives are
 
         $A = Ad(Exp(-eta)) + J_r(eta) d eta/dd, B = J_r(eta) d eta/du$,
 
-    in closed form, without a logarithm; J_r is the right Jacobian. On a Euclidean part Ad and J_r are identities.
+    in closed form, without a logarithm, with the right Jacobian J_r. On Euclidean parts Ad and J_r are identities.
     Several substeps are combined by the chain rule. Traceable: jit, vmap and further derivatives apply.
 
-    With weights, value, Jacobian and Hessian are one scalar program, for any explicit method:
-    $d1 = Log(x1^-1 end)$ is differentiated as in `Dynamics.hessian`, with exponential coordinates at both ends. Other
-    weights do not recompile. JAX differentiates operations without a scalar form, and other methods without weights.
+    With weights, value, Jacobian and Hessian are one scalar program, for any explicit method: $d1 = Log(x1^-1 end)$ is
+    differentiated as in `Dynamics.hessian`, with exponential coordinates at both ends. Other weights do not recompile.
+    Operations without a scalar form, and other methods without weights, are differentiated by JAX.
 
     Args:
         u: the controls, constant over the interval.
-        h: its length in s; may be traced.
-        method: explicit; RKMK with RK4 by default.
-        substeps: steps of the method within the interval.
+        h: the length of the interval in s; may be traced.
+        method: an explicit method; RKMK with RK4 by default.
+        substeps: the number of steps of the method within the interval.
         weights: (n,), multipliers of the tangent difference d1, for the Hessian.
     Raises:
-        InputError: as a call of the dynamics does; weights of another shape, or not finite.
-        TrajectoryError: substeps is not a positive whole number, or the method is implicit.
+        InputError: the errors of a call of the dynamics; weights of another shape, or not finite.
+        TrajectoryError: `substeps` is not a positive whole number, or the method is implicit.
         ModelError: the system is not compiled.
     """
     need_compiled("discretize", dynamics)
@@ -125,7 +128,7 @@ def discretize(
     length = jnp.asarray(number("h", h), inputs.dtype)
     chosen = method if isinstance(method, Method) else method_of(method)
     if isinstance(chosen, ImplicitRKMK):
-        raise TrajectoryError(f"method must be an explicit one, like tx.RKMK(tx.tableaus.RK4), got {chosen!r}")
+        raise TrajectoryError(f"method must be explicit, such as tx.RKMK(tx.tableaus.RK4), got {chosen!r}")
     if weights is not None or not isinstance(chosen, RKMK):
         return _differentiated(dynamics, chosen, inputs, length, substeps, weights)
     x, params = dict(inputs.x), dict(inputs.params)
@@ -136,17 +139,17 @@ def discretize(
 
 
 def value_and_jacobian(function: Callable[[jax.Array], jax.Array], z: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """The value of a function of a vector and its derivative, forward."""
+    """The value of a function of a vector and its derivative, in forward mode."""
     slopes, value = jax.jacfwd(lambda z: (function(z),) * 2, has_aux=True)(z)
     return value, slopes
 
 
 def method_of(method: Any) -> RKMK:
-    """The method, by default RK4. Raises TrajectoryError unless it has derivatives of its steps."""
+    """The method, by default RK4. Raises TrajectoryError unless derivatives of its steps are available."""
     if method is not None and not isinstance(method, RKMK):
         raise TrajectoryError(
             f"method must be a tx.RKMK, whose steps have derivatives in closed form, got {method!r}.\n"
-            "  fix: tx.RKMK(tx.tableaus.RK4)"
+            "  fix: use tx.RKMK(tx.tableaus.RK4)"
         )
     return method or RKMK(RK4)
 
@@ -160,7 +163,8 @@ def _differentiated(
         multiplier_values = real_array("weights", weights)
         if multiplier_values.shape != (n,):
             raise InputError(
-                f"weights expects shape ({n},), one number for each tangent of the end, got {multiplier_values.shape}"
+                f"weights expects shape ({n},), one number for each tangent of the final state, got "
+                f"{multiplier_values.shape}"
             )
         if not is_finite(multiplier_values):
             raise InputError(f"weights expects finite numbers, got {short(multiplier_values)}")

@@ -1,4 +1,4 @@
-"""Free parameters, the unknowns of a problem, with their limits."""
+"""Free parameters, which are unknowns of a problem, with their limits."""
 
 from __future__ import annotations
 
@@ -14,17 +14,18 @@ from ..system import name_of
 
 
 def limits_of(box: Control) -> np.ndarray:
-    """(entries, 2) the limits of a leaf, infinite without a limit."""
+    """(entries, 2) the limits of a leaf, infinite for no limit."""
     ends = [np.full(box.shape, far) if end is None else end for end, far in ((box.min, -np.inf), (box.max, np.inf))]
     return np.stack([np.ravel(end) for end in ends], axis=1)
 
 
 def boxes_of(free: Any, parameters: Iterable[Parameter], baked: Iterable[str]) -> tuple[Control, ...]:
-    """The free parameters with their boxes, from `free={parameter or name: (low, high)}`.
+    """The free parameters with their limits, from `free={parameter or name: (low, high)}`.
 
     Raises:
-        ModelError: what is no parameter of the problem, or was baked; limits that are no pair, or low above high.
-        ShapeError: limits that do not broadcast to the parameter's shape.
+        ModelError: an object that is not a parameter of the problem, or that is a constant of the compiled system;
+            limits that are not a pair, or low above high.
+        ShapeError: limits that cannot be broadcast to the parameter's shape.
     """
     if isinstance(free, (list, tuple)):
         free = dict.fromkeys(free, (None, None))
@@ -38,7 +39,8 @@ def boxes_of(free: Any, parameters: Iterable[Parameter], baked: Iterable[str]) -
         name = name_of(key)
         if name in gone:
             raise ModelError(
-                f"free names the parameter {name!r}, which was baked into the dynamics.\n  fix: do not bake it"
+                f"free names the parameter {name!r}, which is a constant of the compiled dynamics.\n"
+                "  fix: leave it out of bake="
             )
         if name not in known or not isinstance(key, (str, Parameter)):
             raise ModelError(f"free names {name!r}, but the problem reads the parameters: {listed(known, name)}")

@@ -14,19 +14,19 @@ _ENTRY = re.compile(r"(?P<name>.*?)(\[(?P<first>-?\d*)(?P<colon>:?)(?P<last>-?\d
 
 
 def labels(sizes: Mapping[str, tuple[int, ...]]) -> tuple[str, ...]:
-    """A name for every entry, read row by row: "h" of a scalar, "V[0]", "V[1]", ... of others."""
+    """A name for every entry, read row by row: "h" for a scalar, "V[0]", "V[1]", ... for others."""
     return tuple(f"{name}[{i}]" if shape else name for name, shape in sizes.items() for i in range(prod(shape)))
 
 
 def tangent_shapes(group: Product) -> dict[str, tuple[int, ...]]:
-    """The shapes of the tangents of states, as far as `labels` wants them: a scalar has ()."""
+    """The shapes of the tangents of states, in the form that `labels` requires: () for a scalar."""
     return {name: () if factor.shape == () else (factor.dimension,) for name, factor in group.factors.items()}
 
 
 def entry(place: str, wanted: object, shapes: Mapping[str, tuple[int, ...]]) -> tuple[str, range]:
-    """The name that is asked for, and which of its entries, read row by row.
+    """The requested name, and which of its entries, read row by row, are requested.
 
-    Raises InputError for what is no text, an unknown name or entries that it has not.
+    Raises InputError for an object that is not a text, an unknown name, or entries that do not exist.
     """
     if not isinstance(wanted, str):
         raise InputError(f"{place} expects names such as 'V', 'V[3]' or 'V[3:6]', got {short(wanted)}")
@@ -48,13 +48,13 @@ def entry(place: str, wanted: object, shapes: Mapping[str, tuple[int, ...]]) -> 
 
 
 def needed(place: str, wanted: Iterable[object], shapes: Mapping[str, tuple[int, ...]]) -> dict[str, tuple[int, ...]]:
-    """The names that are asked for, whole or by entries, in their order. Raises InputError as `entry`."""
+    """The requested names, whole or by entries, in their order. Raises the errors of `entry`."""
     names = {entry(place, one, shapes)[0] for one in wanted}
     return {name: shape for name, shape in shapes.items() if name in names}
 
 
 def positions(place: str, wanted: Iterable[str], shapes: Mapping[str, tuple[int, ...]]) -> list[int]:
-    """The positions of what is asked for in the vector of all entries. Raises InputError, also for duplicates."""
+    """The positions of the requested entries in the vector of all entries. Raises InputError, also for duplicates."""
     if isinstance(wanted, str):
         wanted = [wanted]
     starts, end = {}, 0

@@ -24,15 +24,15 @@ from .modes import Mode, modes
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Linearization:
-    """The linearised system $d' = A d + B du$, $dy = C d + D du$ about a trajectory x(t), with $x(t) (+) d$ its
-    neighbour.
+    """The linearised system $d' = A d + B du$, $dy = C d + D du$ about a trajectory x(t), with the neighbouring
+    trajectory $x(t) (+) d$.
 
     Attributes:
         rate: the rates as one tangent vector, (n,).
         A: (n, n), rows and columns in the order of declaration of the states.
         B: (n, m), columns in the order of declaration of the controls, each in row-major order.
         C, D: (p, n), (p, m), rows are the requested outputs, each in row-major order.
-        states, controls, outputs: names of the rows and columns, "V[3]".
+        states, controls, outputs: names of the rows and columns, such as "V[3]".
     """
 
     rate: jax.Array
@@ -78,16 +78,16 @@ class Linearization:
         )  # fmt: skip
 
     def modes(self) -> list[Mode]:
-        """The eigenvalues of A with their eigenvectors, fastest first; of a conjugate pair the one with Im > 0.
+        """The eigenvalues of A with their eigenvectors, fastest first; of each conjugate pair, the one with Im > 0.
 
-        Raises: ModelError where A is not one matrix of finite numbers.
+        Raises: ModelError if A is not a single matrix of finite numbers.
         """
         return modes(self.A, self.states)
 
     def to_control(self) -> Any:
-        """The same as a `control.StateSpace` of python-control, with the names of states, inputs and outputs.
+        """The linear system as a `control.StateSpace` of python-control, with the names of states, inputs and outputs.
 
-        Without requested outputs the states are the outputs.
+        If no outputs were requested, the states are the outputs.
 
         Raises: ModelError: python-control is not installed (`pip install twistax[control]`).
         """
@@ -95,7 +95,7 @@ class Linearization:
             import control
         except ImportError:
             raise ModelError(
-                "to_control needs python-control.\n  fix: pip install twistax[control], or use A, B, C and D"
+                "to_control needs python-control.\n  fix: pip install 'twistax[control]', or use A, B, C and D"
             ) from None
         A, B, C, D = (np.asarray(matrix, np.float64) for matrix in (self.A, self.B, self.C, self.D))
         names = self.outputs
@@ -116,20 +116,21 @@ def linearize(
 ) -> Linearization:
     """The error dynamics of a system around a point, with right perturbations x (+) d.
 
-    With the body velocity $xi(t, x, u)$ of all states stacked, the neighbour $x Exp(d)$ obeys to first order
+    With the stacked body velocities $xi(t, x, u)$ of all states, the neighbour $x Exp(d)$ satisfies to first order
 
         $d' = (D xi - ad_xi) d + D_u xi du$,
 
-    where $D xi = d xi(x Exp(d)) / dd$ at 0 and ad of a Euclidean part is zero. Units are those of the states a second.
+    where $D xi = d xi(x Exp(d)) / dd$ at 0, and ad is zero for Euclidean parts. Units are those of the states per
+    second.
     Source: Sola, Deray, Atchuthan, A micro Lie theory for state estimation in robotics (2018), sections on
     perturbations and on Jacobians of group actions; the ad term is the transport of d along the flow.
 
     Traceable: jit, vmap and further derivatives apply.
 
     Args:
-        outputs: for the rows of C and D: names of outputs, "V", or entries of them, "V[3]", "V[3:6]".
+        outputs: the outputs of C and D: names of outputs, "V", or entries of them, "V[3]", "V[3:6]".
     Raises:
-        InputError: as a call of the dynamics does; an unknown output.
+        InputError: the errors of a call of the dynamics; an unknown output.
         ModelError: the system is not compiled.
     """
     need_compiled("linearize", dynamics)
@@ -160,17 +161,17 @@ def output_shapes(dynamics: Dynamics) -> dict[str, tuple[int, ...]]:
 def around(
     dynamics: Dynamics, outputs: tuple[str, ...], with_rates: bool = False, params: tuple[str, ...] = ()
 ) -> Callable[..., tuple[jax.Array, jax.Array]]:
-    """Rates of the states, outputs and rates of the outputs along the motion, and their derivatives at a point.
+    """Rates of the states, outputs, and rates of the outputs along the motion, with their derivatives at a point.
 
-    Kept with the system, compiled once for each precision.
+    The function is cached with the system, and compiled once for each precision.
 
     Args:
-        outputs: which are computed too, in the order of the system.
-        with_rates: whether the rates of the outputs are computed too, with controls that stay constant.
-        params: parameters to differentiate by.
+        outputs: the outputs to compute, in the order of the system.
+        with_rates: whether to compute the rates of the outputs, too, with constant controls.
+        params: parameters with respect to which to differentiate.
     Returns:
-        f(t, x, u, params) -> values (k,) and derivatives (k, n + m + size of params), by right perturbations of the
-        states, entries of controls and of these parameters.
+        f(t, x, u, params) -> values (k,) and derivatives (k, n + m + size of params), with respect to right
+        perturbations of the states, entries of controls and of these parameters.
     """
 
     def make() -> Callable[..., tuple[jax.Array, jax.Array]]:

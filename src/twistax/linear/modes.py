@@ -18,9 +18,9 @@ class Mode:
     """A mode of a linear system: the motion $d(t) = Re(shape e^(eigenvalue t))$.
 
     Attributes:
-        eigenvalue: in 1/s; for a complex pair the one with Im > 0.
+        eigenvalue: in 1/s; of a complex pair, the one with Im > 0.
         shape: the eigenvector by name of state, scaled so that its largest entry is 1.
-        participation: participation factors by name of state: |left eigenvector times shape| entry by entry, scaled to
+        participation: participation factors by name of state: |left eigenvector times shape|, entry by entry, scaled to
             a sum of 1. They do not depend on the units of the states.
     """
 
@@ -30,22 +30,24 @@ class Mode:
 
     @property
     def frequency(self) -> float:
-        """Undamped, |eigenvalue|, rad/s."""
+        """The undamped natural frequency |eigenvalue|, rad/s."""
         return abs(self.eigenvalue)
 
     @property
     def damping(self) -> float:
-        """Ratio, -Re / |eigenvalue|; negative for a growing mode, NaN for a zero eigenvalue."""
+        """The damping ratio -Re / |eigenvalue|; negative for a growing mode, NaN for a zero eigenvalue."""
         return -self.eigenvalue.real / self.frequency if self.frequency else math.nan
 
     @property
     def period(self) -> float:
-        """Of the oscillation, s; inf without one."""
+        """The period of the oscillation, s; inf for a mode without oscillation."""
         return 2.0 * math.pi / self.eigenvalue.imag if self.eigenvalue.imag else math.inf
 
     @property
     def time_constant(self) -> float:
-        """-1 / Re(eigenvalue), s: the time of a decay to 1/e; negative for a growing mode, inf for a constant one."""
+        """The time constant -1 / Re(eigenvalue), s: the time of a decay to 1/e; negative for a growing mode, inf for a
+        constant one.
+        """
         return -1.0 / self.eigenvalue.real if self.eigenvalue.real else math.inf
 
     def __str__(self) -> str:
@@ -56,10 +58,10 @@ class Mode:
 
 
 def modes(A: Any, states: Sequence[str]) -> list[Mode]:
-    """The modes of d' = A d, fastest first. Raises ModelError unless A is one matrix of finite numbers."""
+    """The modes of d' = A d, fastest first. Raises ModelError unless A is a single matrix of finite numbers."""
     matrix = reals("modes: A", A, ModelError)
     if matrix.shape != (len(states), len(states)) or not np.isfinite(matrix).all():
-        raise ModelError(f"modes expects one matrix of finite numbers, got shape {matrix.shape}")
+        raise ModelError(f"modes expects a single matrix of finite numbers, got shape {matrix.shape}")
     values, right = np.linalg.eig(matrix)
     left = np.linalg.pinv(right)  # rows; where eigenvectors coincide there is no inverse
     result = []

@@ -23,12 +23,13 @@ def second_order(
 ) -> tuple[Arrays, jax.Array, jax.Array | None]:
     """The end of an interval, its Jacobian (n, N), and the Hessian (N, N) of its weighted tangent difference.
 
-    With e(z) = Log(x1^-1 end(z)), z the tangents of [start, controls, length, time of the start] and x1 = end(0), they
-    are de / dz and the second derivative of weights . e at z = 0, in exponential coordinates at both ends.
+    Let z be the tangents of [start, controls, length, start time], x1 = end(0), and e(z) = Log(x1^-1 end(z)). The
+    Jacobian is de / dz, and the Hessian the second derivative of weights . e, both at z = 0, in exponential coordinates
+    at both ends.
 
     Args:
-        inputs: prepared, with every control.
-        weights: None leaves the Hessian out.
+        inputs: prepared arguments, with all controls.
+        weights: the weights; None omits the Hessian.
     """
     functions = dynamics.functions
     places, arrays = functions.flat(inputs)

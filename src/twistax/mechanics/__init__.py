@@ -1,4 +1,4 @@
-"""Mechanics in the language: joints, bodies, mechanisms and the environment around them, all of them expressions."""
+"""Mechanics as expressions: joints, bodies, mechanisms and their environment."""
 
 from . import chain_models, environment, flight, joints, loops
 from .algorithms.closed_loops import closed_dynamics, loop_diagnostics, loop_gap, loop_wrench, loop_wrenches

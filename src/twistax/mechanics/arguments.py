@@ -1,4 +1,4 @@
-"""Checks of the arguments of the functions of mechanics, in one place."""
+"""Checks of the arguments of the functions of mechanics."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ def of_shape(
     """The argument `name` of `owner` as an expression of an expected shape.
 
     Raises:
-        InputError: it is a quantity of another unit.
+        InputError: its unit is not the expected one.
         ModelError: it is neither an expression nor numbers.
-        ShapeError: it has another shape; `hint` says how to mend that.
+        ShapeError: its shape is another one; `hint` is a remedy for the message.
     """
     if unit is not None:
         same_unit(f"{owner}: {name}", value, unit)
@@ -56,7 +56,7 @@ def of_kind(owner: str, name: str, value: object, kind: type) -> None:
 
 
 def pose(owner: str, name: str, value: ExprLike) -> Expr:
-    """A pose (4, 4), rotation and position [R p; 0 1]; numbers are checked to be one.
+    """A pose (4, 4) of rotation and position, [R p; 0 1]. Numbers are checked to be a pose.
 
     Raises:
         ModelError: neither an expression nor numbers, or numbers that are not a pose.
@@ -68,26 +68,26 @@ def pose(owner: str, name: str, value: ExprLike) -> Expr:
 
 
 def constant(owner: str, name: str, value: Expr) -> Expr:
-    """The argument itself. Raises ModelError where it depends on time, states or controls."""
+    """The argument itself. Raises ModelError if it depends on time, states or controls."""
     leaves = changing(value)
     if leaves:
         raise ModelError(
-            f"{owner} expects {name} not to change with the motion, got {short(value)}, which depends on "
-            f"{listed([leaf.name for leaf in leaves])}: its motion would be ignored.\n"
-            "  fix: use a joint, such as joints.Prismatic, for a motion, or a Parameter for a choice"
+            f"{owner} expects {name} to be constant during the motion, got {short(value)}, which depends "
+            f"on {listed([leaf.name for leaf in leaves])}.\n"
+            "  fix: use a joint, such as joints.Prismatic, for a motion, or a Parameter for a value to be chosen"
         )
     return value
 
 
 def matrix(R: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """T (4, 4) of a rotation and a position, as numbers."""
+    """The homogeneous matrix T (4, 4) of a rotation and a position, as numbers."""
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = R, p
     return T
 
 
 def dataclass_repr(record: Any) -> str:
-    """The repr of a dataclass, with the fields that differ from their defaults."""
+    """The repr of a dataclass, with only the fields that differ from their defaults."""
 
     def usual(field: Any) -> str | None:
         if field.default_factory is not dataclasses.MISSING:

@@ -1,4 +1,4 @@
-"""Rigid bodies: their spatial inertia, and what follows from it as expressions.
+"""Rigid bodies: their spatial inertia, and the quantities that follow from it, as expressions.
 
 Six-vectors are [v; w], [f; tau] and [p; L] about the origin of the body's frame, in its axes.
 
@@ -23,7 +23,8 @@ from ..units import kilograms, metres
 from .arguments import constant, of_shape, pose
 from .inner_motion import InnerMotion, MovingMass, momentum_of, motion_of
 
-#: How far, relative to the largest entry, an inertia tensor may be from symmetric, positive and triangular.
+#: Tolerances, relative to the largest entry, of the symmetry, positivity and triangle inequalities of an inertia
+#: tensor.
 _ROUND_OFF = 1e-9
 
 
@@ -34,24 +35,25 @@ class SpatialInertia:
     use `SpatialInertia.about_origin`.
 
     Each of the three is a number, an array, or an expression. Numbers, arrays and the default values of Parameters are
-    checked to be physical; expressions of states are not checked. Points and thin rods, whose tensor
-    is only semi-definite, are accepted: they can be merged with others. Only `acceleration` raises an error for them.
+    checked to be physical; expressions of states are not checked. Points and thin rods, whose tensor is only positive
+    semidefinite, are accepted, because they can be merged with other bodies; only `acceleration` raises an error for
+    them.
 
-    If centre or inertia depend on time or on states, masses move within the body. Their momentum relative to the body
-    is included in all functions: $[f; I' w + c x f]$ with $f = m (2 w x c' + c'')$ is the additional wrench compared
-    with a rigid body, see `inner_motion`. Where the mass changes, mass leaves (or joins) the body with its momentum.
-    Then there are no such terms. Apply the forces of the leaving mass: the thrust and `flight.burning`. A mass that
-    depends on time or on states changes, unless the rates of these states are known to be zero.
+    If centre or inertia depend on time or on states, masses move within the body. All functions include their momentum
+    relative to the body: compared with a rigid body, there is an additional wrench $[f; I' w + c x f]$ with $f = m (2 w
+    x c' + c'')$, see `inner_motion`. If the mass changes, mass leaves (or joins) the body with its momentum, and there
+    are no such terms. Apply the forces of the leaving mass: the thrust and `flight.burning`. A mass that depends on
+    time or on states counts as changing, unless the rates of these states are known to be zero.
 
     Args:
         mass: kg, ().
         center_of_mass: m, (3,), in the frame; its origin by default.
         inertia: kg m2, (3, 3), about the centre of mass.
         physical: False accepts values that are not physical.
-        rates: of the states on which mass, centre and inertia depend, as those of a System; zero for constant
-            states. A moving centre needs the rates of its states' rates, too. `system` of a mechanism or a vehicle adds
-            the rates of its further states.
-        mass_leaves: whether a change of centre and inertia is due to leaving mass; None: where the mass changes.
+        rates: rates of the states on which mass, centre and inertia depend, as in a System; zero for constant states. A
+            moving centre also needs the rates of the states in these rates. The method `system` of a mechanism or a
+            vehicle adds the rates of its own states.
+        mass_leaves: whether a change of centre and inertia is due to leaving mass. None: it is if the mass changes.
 
     Raises:
         ShapeError: a value of another shape.
@@ -81,12 +83,12 @@ class SpatialInertia:
         part = MovingMass(self.mass, self.center_of_mass, self.inertia, rates_by_name(rates or {}))
         if mass_leaves is False and not part.mass_stays:
             raise ModelError(
-                f"SpatialInertia expects a mass that does not change where mass_leaves=False, got {self.mass!r}: mass "
-                "comes from somewhere and goes somewhere, with its momentum.\n"
-                "  fix: rates={...: 0.0} for each state in a constant mass"
+                "SpatialInertia expects a mass that does not change where mass_leaves=False, got "
+                f"{self.mass!r}: with a changing mass, mass leaves or joins the body.\n"
+                "  fix: pass rates={...: 0.0} for each state that the constant mass depends on"
             )
         has_moving_part = mass_leaves is not True and changing(self.center_of_mass, self.inertia)
-        #: The parts whose centre or inertia changes, of merged bodies those of both.
+        #: The parts whose centre or inertia changes; for merged bodies the parts of both.
         self.changing_parts: tuple[MovingMass, ...] = (part,) if has_moving_part else ()
         #: The poses of all calls of `in_frame`.
         self.poses: tuple[Expr, ...] = ()
@@ -104,10 +106,11 @@ class SpatialInertia:
         """The body whose `inertia` (3, 3) is about the ORIGIN of the frame, in its axes: $I_c = I_o + m [c]x [c]x$.
 
         Args:
-            mass, center_of_mass, rates, mass_leaves: as of the constructor.
-            inertia: about the origin.
+            mass, center_of_mass, rates, mass_leaves: as for the constructor.
+            inertia: kg m2, (3, 3), about the origin.
         Raises:
-            ShapeError, ModelError: as the constructor; a tensor too small for the mass at its distance is unphysical.
+            ShapeError, ModelError: as for the constructor. A tensor that is too small for the mass and its distance is
+                not physical.
         """
         m, c, tensor = canonicalize_all(_parts_of(mass, center_of_mass, inertia))
         (tensor,) = canonicalize_all([tensor - _steiner(m, c)])
@@ -137,7 +140,7 @@ class SpatialInertia:
         """The same body with rates of further states; existing rates are unchanged.
 
         Args:
-            rates: as of the constructor.
+            rates: as for the constructor.
         Raises: ModelError for keys that are neither states nor names.
         """
         return self._changed(changing_parts=tuple(part.knowing(rates_by_name(rates)) for part in self.changing_parts))
@@ -189,8 +192,8 @@ class SpatialInertia:
     def kinetic_energy(self, V: ExprLike) -> Expr:
         """$(m |v + w x c + c'|^2 + w . I_c w) / 2$ () of a twist V (6,), J.
 
-        It excludes the kinetic energy of internal masses relative to their common centre, because their paths are
-        unknown.
+        It excludes the kinetic energy of internal masses relative to their common centre, which centre and inertia do
+        not determine.
 
         Raises: ShapeError; ModelError for unknown rates.
         """
@@ -222,11 +225,11 @@ class SpatialInertia:
         other forces of the leaving mass (Meshchersky); M is the instantaneous inertia.
 
         Args:
-            V: the body's twist (6,).
-            F: the sum of all wrenches on it (6,).
+            V: the twist of the body (6,).
+            F: the sum of all wrenches on the body (6,).
         Raises:
             ShapeError: an argument of another shape.
-            ModelError: the inertia tensor is constant and singular; rates that are not known.
+            ModelError: the inertia tensor is constant and singular; unknown rates.
         """
         tensor = _known(self.inertia)
         if tensor is not None and not positive_definite(tensor):
@@ -246,10 +249,10 @@ class SpatialInertia:
         return join(linear=self._velocity_of_center(moving, -turning), angular=turning)
 
     def in_frame(self, T: ExprLike) -> SpatialInertia:
-        """The same body described in frame a, T = T_ab (4, 4), b the frame of this one: $M_a = Ad*_T M Ad_T^-1$.
+        """The same body described in frame a, with T = T_ab (4, 4) and b the present frame: $M_a = Ad*_T M Ad_T^-1$.
 
-        Frame a is fixed to the body, too: where T changes with the motion, the body's matrix is the instantaneous one,
-        and functions for accelerations and forces raise an error.
+        Frame a must be fixed to the body, too. If T changes with the motion, `matrix` is the instantaneous inertia, and
+        functions for accelerations and forces raise an error.
 
         Raises:
             ShapeError: T is not of shape (4, 4).
@@ -275,7 +278,9 @@ class SpatialInertia:
         physical, poses = self.physical and other.physical, self.poses + other.poses
         changing_parts = self.changing_parts + other.changing_parts
         for body, massless in ((self, other), (other, self)):
-            if isinstance(massless.mass, Constant) and not massless.mass.value:  # two of them have no centre
+            if (
+                isinstance(massless.mass, Constant) and not massless.mass.value
+            ):  # two bodies without mass have no centre of mass
                 parts = body.mass, body.center_of_mass, self.inertia + other.inertia
                 return self._derived(parts, physical, changing_parts, poses)
         m = self.mass + other.mass
@@ -304,9 +309,8 @@ class SpatialInertia:
 
 
 def power(F: ExprLike, V: ExprLike) -> Expr:
-    """The power $F . V$ (), W, of a wrench F (6,) on a body with twist V (6,), both expressed in the same frame.
-
-    The value does not depend on that frame.
+    """The power $F . V$ (), W, of a wrench F (6,) on a body with twist V (6,), both expressed in the same frame. It is
+    the same in every frame.
 
     Raises: ShapeError if an argument is not of shape (6,).
     """
@@ -340,7 +344,7 @@ def _parts_of(mass: ExprLike, center_of_mass: ExprLike, inertia: ExprLike) -> tu
 
 
 def _known(expr: Expr) -> np.ndarray | None:
-    """The number or array behind an expression: a Constant, or a Parameter with a value."""
+    """The number or array of an expression: that of a Constant, or the value of a Parameter."""
     return expr.value if isinstance(expr, (Constant, Parameter)) else None
 
 

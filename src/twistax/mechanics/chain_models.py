@@ -28,7 +28,7 @@ def modified_dh(a: float, d: float, quarter_turns: int) -> NDArray[np.float64]:
     Source: J. Craig, Introduction to Robotics, chapter 3.
     """
     if not isinstance(quarter_turns, (int, np.integer)):
-        raise ModelError(f"modified_dh expects quarter_turns to be a whole number, got {quarter_turns!r}")
+        raise ModelError(f"modified_dh expects quarter_turns as a whole number, got {quarter_turns!r}")
     cosine, sine = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[quarter_turns % 4]
     T = np.eye(4)
     T[1:3, 1:3] = [[cosine, -sine], [sine, cosine]]
@@ -39,9 +39,9 @@ def modified_dh(a: float, d: float, quarter_turns: int) -> NDArray[np.float64]:
 def panda() -> Chain:
     """The seven links of Franka's Panda, without a hand; the base's z axis points up.
 
-    Friction and the rotors of the motors are omitted. Source: Franka's documentation for the frames; for the inertias
-    C. Gaz and others, Dynamic Identification of the Franka Emika Panda Robot, IEEE Robotics and Automation Letters
-    (2019). `panda.json` has the numbers and the full titles.
+    Friction and the rotors of the motors are omitted. Sources: the frames are from Franka's documentation, the inertias
+    from C. Gaz and others, Dynamic Identification of the Franka Emika Panda Robot, IEEE Robotics and Automation Letters
+    (2019). The file `panda.json` contains the numbers and the full titles.
     """
     links = []
     for i, link in enumerate(json.loads(Path(__file__).with_name("panda.json").read_text())["links"], start=1):
@@ -54,9 +54,10 @@ def panda() -> Chain:
 
 
 def equal_links(count: int) -> Chain:
-    """A chain of equal rods, end to end, on hinges whose axes alternate by a quarter turn.
+    """A chain of equal rods, end to end, with hinges whose axes alternate by 90 degrees.
 
-    At q = 0 it is stretched along the base's x axis. Each rod has 1 kg, 0.2 m, and a radius of 0.02 m.
+    At q = 0 it is straight along the base's x axis. Each rod has a mass of 1 kg, a length of 0.2 m, and a radius of
+    0.02 m.
 
     Raises: ModelError if count is not a positive whole number.
     """

@@ -1,7 +1,7 @@
-"""Contact: forces given at frames, within friction cones, for optimal control; and a compliant ground.
+"""Contact models: forces at frames as controls within friction cones, for optimal control; and a compliant ground.
 
-A point of contact is the origin of a frame; its Jacobian is that of the frame (`frame_jacobian`). Forces are in the
-base's axes, the ground's normal is the base's z.
+A contact point is the origin of a frame, and its Jacobian is that of the frame (`frame_jacobian`). Forces are in the
+base's axes. The normal of the ground is the base's z axis.
 
 Sources: K. Hunt, F. Crossley, Coefficient of restitution interpreted as damping in vibroimpact, Journal of Applied
 Mechanics (1975), for the normal force. C. Canudas de Wit, H. Olsson, K. Astrom, P. Lischinsky, A new model for control
@@ -43,9 +43,9 @@ class GivenForces:
 
     Attributes:
         controls: the Control "force_<frame>" (3,) of each frame, N in the base's axes.
-        wrenches: for `wrenches=` of `system` and of the dynamics.
+        wrenches: the wrenches of the forces, for `wrenches=` of `system` and of the dynamics.
         cones: the friction cones |f_t| <= mu f_z, by name, for `constraints=` of `system`.
-        at_rest: the constraints that the contact points have zero velocity (3,), m/s, by name.
+        at_rest: the constraints of zero velocity (3,) of the contact points, m/s, by name.
     """
 
     controls: dict[str, Control]
@@ -79,8 +79,9 @@ class Bristles:
     """Contacts with stiction, as arguments of `system`. Made by `Ground.bristles`.
 
     Attributes:
-        rates: of the State "bristle_<frame>" (2,) of each frame, m, for `rates=`. Zero is a start at rest.
-        wrenches: for `wrenches=`.
+        rates: the rate of the State "bristle_<frame>" (2,) of each frame, for `rates=`. The state is the deflection in
+            m; start at zero for a contact at rest.
+        wrenches: the contact wrenches, for `wrenches=`.
     """
 
     rates: dict[State, Expr]
@@ -91,21 +92,23 @@ class Bristles:
 class Ground:
     """A compliant ground: a smooth contact force on every point below it, and almost none on points above it.
 
-    With d the penetration depth of a point and $s(d) = (d + sqrt(d^2 + sharpness^2)) / 2$, a smooth max(d, 0), the
-    normal force is $n = stiffness s(d) g(1 + damping d')$, with g a smooth max(., 0). The friction is
-    $-mu n v / sqrt(|v|^2 + slip^2)$, with v the tangential velocity. The equations are stiff: integrate them with
-    `tx.ImplicitRKMK` and a Radau tableau. Over a height field h(x, y) the force is that of the plane through the ground
-    above or below the point: $d = (h - z) / sqrt(1 + |h'|^2)$, exact where the ground is plane over the depth d.
+    Let d be the penetration depth of a point, and $s(d) = (d + sqrt(d^2 + sharpness^2)) / 2$ a smooth max(d, 0). The
+    normal force is $n = stiffness s(d) g(1 + damping d')$, with g a smooth max(., 0). The friction force is $-mu n v /
+    sqrt(|v|^2 + slip^2)$, with the tangential velocity v. The equations are stiff: integrate them with
+    `tx.ImplicitRKMK` and a Radau tableau. Over a height field h(x, y), the force is that of the tangent plane at the
+    ground above or below the point: $d = (h - z) / sqrt(1 + |h'|^2)$. This is exact if the ground is plane within the
+    distance d.
 
     Attributes:
-        stiffness: N/m, positive.
+        stiffness: normal force per depth, N/m, positive.
         damping: s/m, not negative: the factor of the penetration rate in the normal force (Hunt and Crossley).
         friction: friction coefficient mu, not negative.
-        height: z of the ground in the base, m: a number, or a function of the expressions x and y, m, that returns an
-            expression, such as `lambda x, y: tx.Interp(x, y, axes=axes, values=heights, kind=tx.tables.BSpline())`.
+        height: the height z of the ground in the base, m: a number, or a function that maps the expressions x and y, m,
+            to an expression, such as `lambda x, y: tx.Interp(x, y, axes=axes, values=heights,
+            kind=tx.tables.BSpline())`.
         sharpness: m, positive: the height over the ground at which the force begins.
         slip: m/s, positive: the sliding speed at which friction reaches 71 % of mu n.
-    Raises: ModelError for other values.
+    Raises: ModelError for numbers out of their range, or a height that is not a scalar expression of x and y.
     """
 
     stiffness: float = 2e4
@@ -127,7 +130,7 @@ class Ground:
             number("Ground: height", self.height, error=ModelError)
 
     def force(self, place: Expr, velocity: Expr) -> Expr:
-        """The force (3,), N, on a point at `place` (3,) that moves with `velocity` (3,), all in axes of the base."""
+        """The force (3,), N, on a point at `place` (3,) with the velocity `velocity` (3,), in the axes of the base."""
         if not callable(self.height):
             normal, v = self.normal(place, velocity), velocity[:2]
             friction = (-self.friction) * normal * v / Sqrt(Dot(v, v) + self.slip**2)
@@ -137,7 +140,7 @@ class Ground:
         return normal * (up - self.friction * v / Sqrt(Dot(v, v) + self.slip**2))
 
     def upward(self, place: Expr) -> Expr:
-        """The unit normal (3,) of the ground above or below a place (3,), in axes of the base."""
+        """The unit normal (3,) of the ground above or below a place (3,), in the axes of the base."""
         if not callable(self.height):
             return Constant(np.array([0.0, 0.0, 1.0]))
         slope = self._field(place)[1:]
@@ -164,13 +167,13 @@ class Ground:
         """Friction with stiction at the origins of frames: a point under a force within the friction cone remains at
         rest.
 
-        A bristle z (2,), m, is the elastic deflection of a contact, and d the largest one: $\\dot z = v - |v| z / d$,
-        with the tangential velocity v. The friction is $f_t = -\\mu n y / max(1, |y|)$ with $y = z / d + \\sigma \\dot
-        z$ and the normal force n, which is the LuGre model with its force projected onto the friction cone. If |z| <= d
-        holds initially, it holds at all times. Sliding at constant velocity the force is $\\mu n$. At rest z is
-        constant, and the point does not creep. With `wrenches` it creeps at a speed of the order of `slip`. A force
-        that oscillates within the cone moves a point slowly. Without contact the bristle still changes, without effect,
-        because n is almost zero.
+        The bristle z (2,), m, is the elastic deflection of a contact, and d its largest value: $\\dot z = v - |v| z /
+        d$, with the tangential velocity v. The friction force is $f_t = -\\mu n y / max(1, |y|)$ with $y = z / d +
+        \\sigma \\dot z$ and the normal force n. This is the LuGre model with its force projected onto the friction
+        cone. If |z| <= d holds initially, it holds at all times. During sliding at constant velocity the force is $\\mu
+        n$. At rest z is constant, and the point does not creep; with `wrenches` it creeps at a speed of the order of
+        `slip`. A force that oscillates within the cone moves a point slowly. Without contact the bristle still changes,
+        without effect, because n is almost zero.
 
         Args:
             mechanism: a tree or a chain.
@@ -201,7 +204,9 @@ class Ground:
         return result
 
     def normal(self, place: Expr, velocity: Expr) -> Expr:
-        """The normal force n (), N, on a point at `place` (3,) that moves with `velocity` (3,), in axes of the base."""
+        """The normal force n (), N, on a point at `place` (3,) with the velocity `velocity` (3,), in the axes of the
+        base.
+        """
         if callable(self.height):
             up = self.upward(place)
             depth, penetration_rate = (self._field(place)[0] - place[2]) * up[2], -Dot(velocity, up)
@@ -220,9 +225,9 @@ class Ground:
         """The wrenches of the ground on frames, for `wrenches=` of `system` and of the dynamics.
 
         Args:
-            frames: names of the frames whose origins touch the ground; or a dict from names to what does, a
-                `tx.view.Sphere`, or a `Capsule`, which touches the ground with the balls at its ends.
-                A ball touches a height field along the normal at its centre: exact where the ground is even under it.
+            frames: names of the frames whose origins touch the ground; or a dict from names to the shape that touches
+                it, a `tx.view.Sphere` or a `Capsule`. A capsule touches the ground with the balls at its two ends. A
+                ball touches a height field along the normal at its centre, which is exact if the ground is plane there.
         Raises: ModelError for an unknown frame, or a shape that is not supported; ShapeError for positions of another
             shape.
         """
@@ -247,7 +252,7 @@ class Ground:
 
 
 def _at_origin(mechanism: KinematicTree, name: str, q: Positions | None, f: Expr) -> Expr:
-    """The wrench (6,), in the axes of a frame, of a force (3,) at its origin in the base's axes."""
+    """The wrench (6,), in the axes of a frame, of a force (3,) at its origin that is given in the base's axes."""
     return wrench(force=mechanism.pose(name, q)[:3, :3].T @ f, torque=_ZERO)
 
 

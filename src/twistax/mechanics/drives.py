@@ -1,4 +1,4 @@
-"""Drives: rotor, friction, spring, gear and limits of a joint."""
+"""Drives: rotor inertia, friction, spring, gear and limits of a joint."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from ..expr import Constant, Expr, Tanh, to_expr
 from ..expr.fields import ExprLike
 from .arguments import constant, dataclass_repr
 
-#: Numbers only: they become bounds of states and controls.
+#: Numbers only, because they become bounds of states and controls.
 _LIMITS = ("lower", "upper", "speed")
 _AMOUNTS = ("armature", "damping", "friction", "stiffness", "rest", "gear", "friction_speed")
-#: What carries momentum.
+#: Attributes that affect the momentum.
 _INERTIAS = ("armature",)
 _NOT_NEGATIVE = ("armature", "damping", "friction", "stiffness", "speed")
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class Drive:
-    """Motor, friction, spring and limits of a joint. The same values apply to all degrees of freedom of the joint.
+    """Motor, friction, spring and limits of a joint. All degrees of freedom of the joint have the same values.
 
     The generalised force on a degree of freedom with position q, velocity v and control u is
 
@@ -31,18 +31,19 @@ class Drive:
 
     Attributes:
         armature: reflected inertia of the rotor, $gear^2$ times the rotor's inertia: kg m2 about an axis, kg along an
-            axis. For a planar or free joint its momentum is in the rotating axes of the child.
+            axis. For a planar or free joint, the momentum of the rotor is in the rotating axes of the child.
         damping: viscous friction, N m s/rad or N s/m.
         friction: dry (Coulomb) friction while sliding, N m or N. The force is smooth in the velocity and zero at rest.
-        friction_speed: velocity at which dry friction reaches 76 % of that value, rad/s or m/s, positive.
-        stiffness, rest: of a spring: its stiffness, N m/rad or N/m, and the position without force. For a ball joint
-            the deflection is Log R. A free joint has no spring.
+        friction_speed: velocity at which dry friction reaches 76 % of `friction`, rad/s or m/s, positive.
+        stiffness, rest: the stiffness of a spring, N m/rad or N/m, and the position at which it exerts no force. For a
+            ball joint the deflection is Log R. A free joint has no spring.
         gear: joint force per unit of control.
         lower, upper: bounds of the position, or None.
         speed: largest absolute velocity, or None.
-        effort: largest absolute control, or a pair of the smallest and the largest control, or None.
+        effort: largest absolute control, or a pair (smallest, largest control), or None.
 
-        Limits are numbers. The other values are numbers or expressions; the armature must not change with the motion.
+        Limits are numbers. The other values are numbers or expressions; the armature must be constant during the
+        motion.
     Raises:
         ModelError: a value that is not a number or a scalar expression; a negative value where it is not allowed;
             contradictory bounds; an armature that depends on time, states or controls.
@@ -75,7 +76,9 @@ class Drive:
             raise ModelError(f"Drive expects lower to be at most upper, got {self.lower} and {self.upper}")
         least, most = self.efforts
         if least is not None and most is not None and not least <= most:
-            raise ModelError(f"Drive expects effort not to be negative, or a pair in order, got {self.effort}")
+            raise ModelError(
+                f"Drive expects effort to be non-negative, or a pair (smallest, largest), got {self.effort}"
+            )
         if isinstance(self.friction_speed, (int, float)) and self.friction_speed <= 0.0:
             raise ModelError(f"Drive expects friction_speed to be positive, got {self.friction_speed}")
 
@@ -104,11 +107,11 @@ class Drive:
 
     @property
     def rotor(self) -> Expr | None:
-        """The armature as an expression; None where it is known to be zero."""
+        """The armature as an expression; None if it is known to be zero."""
         return None if _is_zero(self.armature) else to_expr(self.armature)
 
     def passive(self, position: Expr | None, velocity: Expr) -> Expr | None:
-        """The force () of damping, friction and spring on one degree of freedom; None without any."""
+        """The force () of damping, friction and spring on one degree of freedom; None if there are none."""
         terms: list[Expr] = []
         if not _is_zero(self.damping):
             terms.append(-(to_expr(self.damping) * velocity))

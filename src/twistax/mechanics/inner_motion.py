@@ -1,15 +1,15 @@
-"""Masses that move within a body as is known beforehand, such as a boom that deploys: what they do to its motion.
+"""Masses that move within a body in a known way, such as a deploying boom, and their effect on the body's motion.
 
-A body of constant mass m has a centre c and an inertia I about it that change, in its frame, while the axes of the
-frame turn with w. Its parts have no angular momentum about its centre of mass relative to these axes, as where they
-move towards and away from it; bodies of which that is wrong are written as several that are merged. Then
+A body of constant mass m has a centre c and an inertia I about the centre, both varying, in a frame whose axes rotate
+with w. It is assumed that its parts have no angular momentum about the centre of mass relative to these axes, as if
+they moved radially. If this does not hold, describe the body as several bodies that are merged. Then
 
     p = m (v + w x c + c')                        L = I w + c x p,
     F = M V' + ad*_V(M V) + X,                    X = [f; I' w + c x f],    f = m (2 w x c' + c''),
 
-with ' the rate in the frame. X is $X_0 + X_1 w$, and both add up over bodies that are merged.
+where ' is the rate in the frame. X is $X_0 + X_1 w$, and both terms add up over merged bodies.
 
-Mass that leaves a body takes its momentum along: it makes no such terms, see `SpatialInertia`.
+Mass that leaves a body carries its momentum away, without such terms; see `SpatialInertia`.
 
 Source: P. Hughes, Spacecraft Attitude Dynamics (1986), chapter 3; L. Meirovitch, Methods of Analytical Dynamics (1970),
 section 12.2, for mass that leaves.
@@ -29,7 +29,7 @@ from ..expr.transformations.rate import changing
 
 
 class MovingMass(NamedTuple):
-    """A body whose centre or inertia changes, in a frame, with the rates of what it depends on."""
+    """A body whose centre or inertia changes, in a frame, with the rates of the states that it depends on."""
 
     mass: Expr
     center_of_mass: Expr
@@ -37,7 +37,7 @@ class MovingMass(NamedTuple):
     rates: Mapping[str, Expr]
 
     def knowing(self, rates: Mapping[str, Expr]) -> MovingMass:
-        """A copy with further rates; present ones stay."""
+        """A copy with additional rates; existing rates are unchanged."""
         return self._replace(rates={**rates, **self.rates})
 
     @property
@@ -51,22 +51,22 @@ class MovingMass(NamedTuple):
         return [leaf for leaf in leaves if isinstance(leaf, (State, Control)) and leaf.name not in self.rates]
 
     def rate(self, expr: Expr) -> Expr | None:
-        """The rate of an expression; None where it does not change. Raises ModelError where it is not known."""
+        """The rate of an expression; None if it is constant. Raises ModelError if the rate is not known."""
         unknown = self._unknown(expr)
         if unknown:
             kind, name = type(unknown[0]).__name__.lower(), unknown[0].name
             raise ModelError(
-                f"the centre of mass or the inertia of a body depends on the {kind} {name!r}, whose rate is not known: "
-                "masses that move in a body carry momentum.\n"
-                f"  fix: SpatialInertia(..., rates={{{name!r}: its rate}}), zero for constant ones, or "
-                "mass_leaves=True where the change is that of mass that leaves the body"
+                f"the centre of mass or the inertia of a body depends on the {kind} {name!r}, whose rate "
+                "is not known, but the momentum of masses that move in a body depends on it.\n"
+                f"  fix: SpatialInertia(..., rates={{{name!r}: its rate}}), zero if it is constant, or "
+                "mass_leaves=True if the change is due to mass that leaves the body"
             )
         rate = Rate(expr, self.rates)
         return rate if rate.placeholders else None
 
 
 class InnerMotion(NamedTuple):
-    """The effect of the moving parts of a body on its motion: six-vectors at its origin, in its axes."""
+    """The effect of moving parts of a body on its motion: six-vectors at its origin, in its axes."""
 
     momentum: Expr  # [m c'; c x m c'] (6,)
     energy: Expr  # m |c'|^2 / 2 ()
@@ -74,12 +74,12 @@ class InnerMotion(NamedTuple):
     turning: Expr  # X_1 (6, 3)
 
     def wrench(self, w: Expr) -> Expr:
-        """X (6,): the wrench in addition to that of a rigid body."""
+        """X (6,): the wrench that is added to that of a rigid body."""
         return self.still + self.turning @ w
 
 
 def momentum_of(parts: tuple[MovingMass, ...]) -> tuple[Expr, Expr] | None:
-    """The momentum (6,) of the parts of a body relative to it, and their kinetic energy (); None if none moves."""
+    """The momentum (6,) of the parts of a body relative to it, and their kinetic energy (); None if no part moves."""
     momenta_and_energies: list[tuple[Expr, Expr]] = []
     for part in parts:
         velocity = part.rate(part.center_of_mass)
@@ -93,7 +93,7 @@ def momentum_of(parts: tuple[MovingMass, ...]) -> tuple[Expr, Expr] | None:
 
 
 def motion_of(parts: tuple[MovingMass, ...]) -> InnerMotion | None:
-    """The effect of the parts of a body on it; None if nothing changes."""
+    """The effect of moving parts of a body on its motion; None if no part moves."""
     terms: list[tuple[Expr, Expr]] = []
     for part in parts:
         velocity, tensor_rate = part.rate(part.center_of_mass), part.rate(part.inertia)

@@ -1,4 +1,4 @@
-"""Joints of every kind: states, kinematics, and the screws of `screws.py`.
+"""Joint types: their states, kinematics, and motion and force subspaces (see `screws.py`).
 
 Source: R. Featherstone, Rigid Body Dynamics Algorithms (2008), chapters 3 and 4.
 """
@@ -31,37 +31,37 @@ __all__ = [
 ]
 # fmt: on
 
-#: How near to one line two axes may not be.
+#: The tolerance for two axes to be parallel.
 _ROUND_OFF = 1e-12
 
 
 class Joint(Subspaces, ABC):
     """A joint of k degrees of freedom between a parent and a child; its motion subspace H is constant in the child.
 
-    To add a joint, subclass it: call `super().__init__` with H, and define `placement`. H may be an expression (6, 1);
-    then set `constraint_basis`. Six-vectors are [v; w] and [f; tau].
+    To define a joint type, subclass it: call `super().__init__` with H, and define `placement`. H may be an expression
+    (6, 1); then set `constraint_basis`. Six-vectors are [v; w] and [f; tau].
 
     Args:
         name: the prefix of the names of the states, `<name>_position` and `<name>_velocity`.
-        motion: H (6, k), or (6,) for one freedom, in the child's joint frame.
-        actuation_basis: h* (6, k) with $h*^T H = I$; $H (H^T H)^-1$ by default. Pass it where H mixes m and rad.
+        motion: H (6, k), or (6,) for one degree of freedom, in the child's joint frame.
+        actuation_basis: h* (6, k) with $h*^T H = I$; $H (H^T H)^-1$ by default. Pass it if H mixes m and rad.
 
     Attributes:
         name: the name of the joint.
         dofs: k, from 0 to 6.
         position: the State of shape (k,), or on the `group` of a subclass; None for k = 0.
-        velocity: the State of shape (k,); m/s along slides, rad/s about axes. None for k = 0.
+        velocity: the State of shape (k,), in m/s for translations and rad/s for rotations. None for k = 0.
         motion_subspace, actuation_basis, constraint_basis: H, h* and H-bar* in the child's joint frame; see `Screws`.
 
     Raises:
-        ModelError: no name; H or h* not numeric; H not finite or with dependent columns; $h*^T H$ is not I; a group of
-            another dimension.
-        ShapeError: H or h* of another shape.
+        ModelError: no name; H or h* not numeric; H not finite or with dependent columns; $h*^T H$ is not I; a group
+            whose dimension is not k.
+        ShapeError: H or h* with a wrong shape.
     """
 
     #: The group of the position; None for k coordinates whose rate is the velocity.
     group: ClassVar[Group | None] = None
-    #: Arguments beside the name, for the suites that run over all joints.
+    #: Further arguments of the constructor, for test suites that run over all joints.
     cases: ClassVar[Sequence[Mapping[str, Any]]] = ()
 
     def __init__(self, name: str, motion: Any, actuation_basis: Any = None) -> None:
@@ -74,7 +74,7 @@ class Joint(Subspaces, ABC):
         self._declare(name)
 
     def _declare(self, name: str) -> None:
-        """Take a name, and the states of that name."""
+        """Set the name, and declare the states with this name."""
         if not isinstance(name, str) or not name:
             raise ModelError(f"{type(self).__name__} needs a name: a non-empty string, got {name!r}")
         self.name = name
@@ -86,14 +86,14 @@ class Joint(Subspaces, ABC):
             self.velocity = known_as(State(f"{name}_velocity", (self.dofs,)), *known[1])
 
     def renamed(self, name: str) -> Joint:
-        """The same joint with another name, and with states of that name. Raises ModelError for no name."""
+        """The same joint with another name, and with states of that name. Raises ModelError for an empty name."""
         joint = copy.copy(self)
-        joint.__dict__.pop("transform", None)  # it is of the position with the old name
+        joint.__dict__.pop("transform", None)  # it depends on the position with the old name
         joint._declare(name)
         return joint
 
     def reversed(self) -> Joint:
-        """The joint from the child to the parent: its pose is $T_pc^-1$ at the same position.
+        """The reversed joint, from the child to the parent: its pose is $T_pc^-1$ at the same position.
 
         On a group the position becomes its inverse.
 
@@ -119,7 +119,9 @@ class Joint(Subspaces, ABC):
 
     @abstractmethod
     def placement(self, position: Expr) -> Expr:
-        """T_pc (4, 4) of the position, of shape (0,) without one; its rate must be $T_pc hat(H velocity)$."""
+        """T_pc (4, 4) as a function of the position, which has shape (0,) for a joint without one. Its rate must be
+        $T_pc hat(H velocity)$.
+        """
 
     def rate(self, position: Expr, velocity: Expr) -> Expr:
         """The rate of the position: the velocity, unless a subclass overrides it."""
@@ -130,8 +132,8 @@ class Joint(Subspaces, ABC):
         return position if self.group is None else None
 
     def velocity_of(self, position: Expr, rate: Expr) -> Expr:
-        """The velocity from a rate of the position: the inverse of `rate`, by solving with its matrix unless a subclass
-        overrides it.
+        """The velocity from the rate of the position: the inverse of `rate`. The default solves a linear system with
+        the matrix of `rate`.
         """
         if type(self).rate is Joint.rate:
             return rate
@@ -142,14 +144,14 @@ class Joint(Subspaces, ABC):
     def transform(self) -> Expr:
         """T_pc (4, 4): maps coordinates of the child's joint frame to the parent's.
 
-        Raises: ShapeError if `placement` of a subclass gives another shape.
+        Raises: ShapeError if `placement` of a subclass returns another shape.
         """
         position = Constant(np.zeros(0)) if self.position is None else self.position
         return of_shape(repr(self), "its placement", self.placement(position), (4, 4))
 
     @property
     def screws(self) -> Screws:
-        """The three subspaces in the child's joint frame."""
+        """The motion, actuation and constraint subspaces in the child's joint frame."""
         return Screws(self.motion_subspace, self.actuation_basis, self.constraint_basis)
 
     @property
@@ -165,16 +167,19 @@ class Joint(Subspaces, ABC):
         return Constant(np.zeros(6)) if self.velocity is None else self.motion_subspace @ self.velocity
 
     def screws_in(self, T: ExprLike) -> Screws:
-        """The subspaces in another frame; T (4, 4) maps child joint coordinates to that frame. Raises ShapeError."""
+        """The subspaces in another frame; T (4, 4) maps coordinates of the child's joint frame to that frame. Raises
+        ShapeError for another shape of T.
+        """
         return self.screws.in_frame(T)
 
 
 class Fixed(Joint):
-    """No motion: H has shape (6, 0), $T_pc = I$, and the bearing carries every wrench. There are no states.
+    """A joint without motion: H has shape (6, 0), $T_pc = I$, and the bearing carries every wrench. There are no
+    states.
 
     Args:
-        name: of the joint.
-    Raises: ModelError for no name.
+        name: the name of the joint.
+    Raises: ModelError for an empty name.
     """
 
     cases = ({},)
@@ -193,7 +198,7 @@ class Revolute(Joint):
     """Rotation about a fixed axis a through the joint's origin: $H = [0; a]$, $T_pc = [Rot(a, q), 0; 0, 1]$, q in rad.
 
     Args:
-        name: of the joint.
+        name: the name of the joint.
         axis: a (3,), the same in both joint frames; any non-zero length, normalised. Numbers, or a Parameter.
     Raises:
         ShapeError: axis is not of shape (3,).
@@ -242,7 +247,8 @@ class Prismatic(Joint):
 
 
 class Helical(Joint):
-    """A screw: a turn about a fixed axis a with a translation along it, $H = [h a; a]$, q in rad.
+    """A helical (screw) joint: rotation about a fixed axis a with a proportional translation along it, $H = [h a; a]$,
+    q in rad.
 
     The motor exerts a torque about the axis: h* = [0; a].
 
@@ -299,8 +305,8 @@ class Planar(Joint):
     angle. Mount the joint with z along the normal of the plane.
 
     Args:
-        name: of the joint.
-    Raises: ModelError for no name.
+        name: the name of the joint.
+    Raises: ModelError for an empty name.
     """
 
     cases = ({},)
@@ -322,11 +328,11 @@ class Planar(Joint):
 class Spherical(Joint):
     """A ball joint, rotation about its origin: $H = [0; I]$, $T_pc = [R, 0; 0, 1]$.
 
-    The position is R (3, 3) on SO(3), the velocity the body rate w (3,) in rad/s, $R' = R [w]x$.
+    The position is R (3, 3) on SO(3). The velocity is the body rate w (3,) in rad/s, with $R' = R [w]x$.
 
     Args:
-        name: of the joint.
-    Raises: ModelError for no name.
+        name: the name of the joint.
+    Raises: ModelError for an empty name.
     """
 
     cases = ({},)
@@ -347,14 +353,14 @@ class Spherical(Joint):
 
 
 class Free(Joint):
-    """A joint with six degrees of freedom: $H = I$; the position is T_pc on SE(3), the velocity the body twist [v; w]
-    (6,).
+    """A joint with six degrees of freedom: $H = I$. The position is T_pc on SE(3), and the velocity is the body twist
+    [v; w] (6,).
 
     There are no constraint wrenches: H-bar* has shape (6, 0).
 
     Args:
-        name: of the joint.
-    Raises: ModelError for no name.
+        name: the name of the joint.
+    Raises: ModelError for an empty name.
     """
 
     cases = ({},)
@@ -373,14 +379,14 @@ class Free(Joint):
 def universal(name: str, first: Any, second: Any) -> tuple[Revolute, Revolute]:
     """A universal joint: a rotation about an axis of the parent, then one about an axis of the child.
 
-    Its H varies in its child frame, so it is modelled as two joints, `<name>_1` and `<name>_2`. Put a link without a
-    body and with an identity mount between them.
+    Its H varies in the child frame, so it is modelled as two joints, `<name>_1` and `<name>_2`. Connect them by a link
+    without a body, with an identity mount.
 
     Args:
-        name: the prefix of both names.
-        first, second: their axes (3,), the same in both frames when both angles are zero.
+        name: the prefix of the names of both joints.
+        first, second: the two axes (3,), each the same in both frames when both angles are zero.
     Raises:
-        ShapeError, ModelError: as for `Revolute`; parallel axes.
+        ShapeError, ModelError: as for `Revolute`. ModelError: parallel axes.
     """
     joints = Revolute(f"{name}_1", first), Revolute(f"{name}_2", second)
     if np.linalg.norm(np.cross(joints[0].axis, joints[1].axis)) < _ROUND_OFF:

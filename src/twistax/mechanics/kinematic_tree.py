@@ -1,4 +1,4 @@
-"""Trees of links on a base: their coordinates and their frames, and where all of them are."""
+"""Kinematic trees of links on a base: their coordinates, frames and poses."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from .tree import Frame, Link, Segment, segments_of, shapes_of, sorted_links
 if TYPE_CHECKING:
     from ..view import Shape
 
-#: Inertias below this part of all of a body's are rounding.
+#: Inertias below this fraction of the total inertia of a body are round-off.
 _ROUND_OFF = 1e-13
 #: Positions: a vector, or a mapping with a vector "q" and an element for each joint on a group.
 Positions = ExprLike | Mapping[str, ExprLike]
 
 
 class KinematicTree:
-    """Links on joints in the shape of a tree: its coordinates, its frames, and where all of them are.
+    """A kinematic tree of links and joints: its coordinates, frames and poses.
 
-    `Mechanism` says what the arguments and the attributes are, and adds what follows from the dynamics.
+    The arguments and attributes are those of `Mechanism`, which adds the dynamics.
     """
 
     def __init__(
@@ -65,7 +65,7 @@ class KinematicTree:
         self.dofs = 1 + max((max(s.freedoms, default=-1) for s in self.segments), default=-1)
         self.loops, self.loop_metric = tuple(loops), loop_metric
         driven = None if driven is None else tuple(driven)
-        #: The arguments of the constructor beside the links, which `replace` gives it again.
+        #: The arguments of the constructor besides the links, which `replace` passes on.
         self.arguments: dict[str, Any] = {"gravity": self.gravity, "base": base, "keep": keep, "notes": self._notes}
         self.arguments |= {"driven": driven, "loops": self.loops, "loop_metric": loop_metric, "shapes": self.shapes}
         if driven is None:
@@ -88,7 +88,9 @@ class KinematicTree:
         self._check_tips(owner)
 
     def _check_tips(self, owner: str) -> None:
-        """Raise ModelError for a joint at a tip whose body has no inertia about its axis."""
+        """Raise ModelError for a joint at a tip (a leaf of the tree) whose body has no inertia
+        about the joint's axis.
+        """
         carrying = {segment.before for segment in self.segments}
         for i, segment in enumerate(self.segments):
             H, M = segment.link.joint.motion_subspace, None if segment.body is None else segment.body.known_matrix
@@ -108,14 +110,16 @@ class KinematicTree:
 
     @functools.cached_property
     def bodies(self) -> dict[int, SpatialInertia]:
-        """The body of every segment that has mass, merged with all fixed links, by the index of the segment."""
+        """The body of every segment with mass, merged with all links fixed to it, by the index of the segment."""
         return {i: segment.body for i, segment in enumerate(self.segments) if segment.body is not None}
 
     # ---- coordinates -------------------------------------------------------------------------------------------------
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """The names of the moving joints, in the order of the velocities; mimic joints share their leader's entries."""
+        """The names of the moving joints, in the order of the velocities; a mimic joint shares the entries of the joint
+        that it follows.
+        """
         return tuple(segment.link.joint.name for segment in self.segments)
 
     @functools.cached_property
@@ -129,7 +133,7 @@ class KinematicTree:
 
     @functools.cached_property
     def q(self) -> Any:
-        """The position vector "q" as a State with the limits of the joints; a mapping where joints are on groups."""
+        """The position vector "q" as a State with the limits of the joints; a mapping if some joints are on groups."""
         elements: dict[str, Any] = {name: self._element(segment) for name, segment in self._grouped.items()}
         if not self._width:
             return elements
@@ -153,21 +157,21 @@ class KinematicTree:
         return known_as(tau, unit=None if unit is None else JOULE / unit)
 
     def _unit(self, grouped: bool = True) -> Unit | None:
-        """The unit of all coordinates, with those of joints on groups; None where they differ."""
+        """The unit of all coordinates, including those of joints on groups; None if the units differ."""
         segments = [s for s in self.segments if s.freedoms and s.link.mimic is None]
         joints = [s.link.joint for s in segments if grouped or s.link.joint.group is None]
         units = {unit_of(joint.motion_subspace) for joint in joints}
         return units.pop() if len(units) == 1 else None
 
     def _element(self, segment: Segment) -> Any:
-        """The position of a joint on a group, between the frames that it connects where these are named."""
+        """The position of a joint on a group, with the names of the frames that it connects if these have names."""
         joint, before = segment.link.joint, self.base if segment.before < 0 else self.segments[segment.before].link.name
         to = before if is_identity(segment.link.mount) else ""
         place, kind = joint.position, element_kind(joint.group, to, segment.link.name)
         return place if kind is None or place is None else known_as(place, kind)
 
     def _bounds(self, limits: Any, *, by_freedom: bool) -> tuple[np.ndarray | None, np.ndarray | None]:
-        """The limits of all leaders in one vector each; None where no joint has one."""
+        """The limits of all joints that do not mimic others, as vectors; None if no joint has limits."""
         size = self.dofs if by_freedom else self._width
         low, high = np.full(size, -np.inf), np.full(size, np.inf)
         for segment in self.segments:
@@ -180,7 +184,7 @@ class KinematicTree:
         return (low if np.isfinite(low).any() else None), (high if np.isfinite(high).any() else None)
 
     def freedoms(self, joints: Collection[str]) -> list[int]:
-        """The indices of the velocities of these joints, each index once. Raises ModelError."""
+        """The indices of the velocities of these joints, each index once. Raises ModelError for an unknown joint."""
         entries: list[int] = []
         for name in name_list("joints", joints, ModelError):
             entries += [i for i in self.segment_of(name).freedoms if i not in entries]
@@ -192,13 +196,13 @@ class KinematicTree:
             if segment.link.joint.name == joint:
                 return segment
         raise ModelError(
-            f"no movable joint {short(joint)}; known are {listed(self.joints, joint)}.\n"
-            "  a Fixed joint is merged with its parent link, unless it is named in keep="
+            f"there is no moving joint {short(joint)}; known are {listed(self.joints, joint)}.\n"
+            "  fix: to keep a Fixed joint, which is merged with its parent link by default, name it in keep="
         )
 
     def coordinates(self, owner: str, name: str, value: ExprLike | None) -> Expr:
-        """The argument `name` of `owner`, with one entry for each degree of freedom (n,); the state qd for None. Raises
-        ShapeError.
+        """The argument `name` of `owner`, with one entry for each degree of freedom (n,); for None the state qd. Raises
+        ShapeError for another shape.
         """
         hint = "one entry for each freedom; of a chain one entry for each link, from base to tip"
         return self.qd if value is None else finite(owner, name, of_shape(owner, name, value, (self.dofs,), hint))
@@ -233,8 +237,8 @@ class KinematicTree:
         return coordinates if mimic is None else mimic.ratio * coordinates + mimic.offset
 
     def along(self, segment: Segment, velocities: Expr) -> Expr:
-        """H qd (6,): the twist of a segment's joint for velocities (n,), or its part of accelerations, in the segment's
-        frame.
+        """H qd (6,): the twist across a segment's joint for velocities (n,), or the corresponding part of
+        accelerations, in the segment's frame.
         """
         H = segment.link.joint.motion_subspace
         if not segment.freedoms:
@@ -246,11 +250,15 @@ class KinematicTree:
     # ---- kinematics --------------------------------------------------------------------------------------------------
 
     def frame(self, name: str) -> Frame:
-        """A frame by the name of its link, or of the joint that carries the link. Raises ModelError."""
+        """The frame with the name of its link, or of the joint that carries the link. Raises ModelError for an unknown
+        name.
+        """
         return self.frames[self.frame_name(name)]
 
     def frame_name(self, name: str) -> str:
-        """The name of a frame by that of its link, or of the joint that carries the link. Raises ModelError."""
+        """The name of a frame, from the name of its link or of the joint that carries the link. Raises ModelError for
+        an unknown name.
+        """
         if name in self.frames:
             return name
         for link in self.links:
@@ -259,7 +267,7 @@ class KinematicTree:
         raise ModelError(f"there is no frame {short(name)}; known are {listed(self.frames, name)}")
 
     def link(self, name: str) -> Link:
-        """A link of the tree, by its name or that of its joint. Raises ModelError."""
+        """A link of the tree, by its name or the name of its joint. Raises ModelError for an unknown name."""
         for of in (lambda link: link.name, lambda link: link.joint.name):
             for link in self.links:
                 if of(link) == name:
@@ -268,19 +276,23 @@ class KinematicTree:
         raise ModelError(f"there is no link {short(name)}; known are {listed(names, name)}")
 
     def transforms(self, q: Positions | None = None) -> list[Expr]:
-        """T (4, 4) of each segment in its parent segment, or in the base. Raises ShapeError."""
+        """The pose T (4, 4) of each segment in its parent segment, or in the base. Raises ShapeError for positions of
+        another shape.
+        """
         places = self.positions(f"{type(self).__name__}.transforms", q)
         return [segment.link.transform(place) for segment, place in zip(self.segments, places, strict=True)]
 
     def poses(self, q: Positions | None = None) -> list[Expr]:
-        """T (4, 4) of each segment in the base. Raises ShapeError."""
+        """The pose T (4, 4) of each segment in the base. Raises ShapeError for positions of another shape."""
         poses: list[Expr] = []
         for segment, T in zip(self.segments, self.transforms(q), strict=True):
             poses.append(T if segment.before < 0 else Compose(poses[segment.before], T))
         return poses
 
     def twists(self, q: Positions | None = None, qd: ExprLike | None = None) -> list[Expr]:
-        """V (6,) of each segment, in its frame: $V_i = Ad_T^-1 V_before + H qd_i$. Raises ShapeError."""
+        """The body twist V (6,) of each segment, in its frame: $V_i = Ad_T^-1 V_parent + H qd_i$. Raises ShapeError for
+        another shape.
+        """
         rates = self.coordinates(f"{type(self).__name__}.twists", "qd", qd)
         twists: list[Expr] = []
         for segment, T in zip(self.segments, self.transforms(q), strict=True):
@@ -289,7 +301,9 @@ class KinematicTree:
         return twists
 
     def pose(self, frame: str, q: Positions | None = None, *, relative_to: str | None = None) -> Expr:
-        """T (4, 4): maps coordinates of a frame to those of the base, or of another frame. Raises ModelError."""
+        """The pose T (4, 4) that maps coordinates of a frame to those of the base, or of another frame. Raises
+        ModelError for an unknown frame.
+        """
         at = self.frame(frame)
         T = at.T if at.segment < 0 else Compose(self.poses(q)[at.segment], at.T)
         T = T if relative_to is None else Compose(Inverse(self.pose(relative_to, q)), T)
@@ -297,7 +311,9 @@ class KinematicTree:
         return known_as(T, Pose(to, self.frame_name(frame)))
 
     def twist(self, frame: str, q: Positions | None = None, qd: ExprLike | None = None) -> Expr:
-        """The body twist (6,) of a frame: its velocity relative to the base, in its own axes. Raises ModelError."""
+        """The body twist (6,) of a frame: its velocity relative to the base, in its own axes. Raises ModelError for an
+        unknown frame.
+        """
         at = self.frame(frame)
         if at.segment < 0:
             return Constant(np.zeros(6))

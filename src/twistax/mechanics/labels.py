@@ -15,7 +15,9 @@ Labels = dict[str, list[tuple[str, str]]]
 
 
 def labels_of(mechanism: KinematicTree, driven: Sequence[int]) -> Labels:
-    """The labels of q, qd and tau: joints, with an axis where one has several freedoms; m and rad, and their rates."""
+    """The labels of q, qd and tau: names of joints, with an axis for joints with several degrees of freedom; units m
+    and rad, and their rates.
+    """
     freedoms, places = [("", "")] * mechanism.dofs, list[tuple[str, str]]()
     for segment in mechanism.segments:
         if segment.link.mimic is not None or not segment.freedoms:

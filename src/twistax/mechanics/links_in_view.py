@@ -22,11 +22,12 @@ if TYPE_CHECKING:
 
 
 def links_in_view(mechanism: KinematicTree, xs: Mapping[str, Any], params: Mapping[str, Any]) -> list[Body]:
-    """Every frame of a mechanism as a body, the base's too. A link without shapes is the ellipsoid of its inertia.
+    """All frames of a mechanism, including the base, as bodies for the view. A link without shapes is drawn as the
+    ellipsoid of its inertia.
 
     Args:
-        xs: the states of `mechanism.system()` by name, leading axis the times.
-        params: values of parameters, those given that the mechanism has; others have their own.
+        xs: the states of `mechanism.system()` by name; the leading axis is time.
+        params: values of parameters; a parameter of the mechanism without a value has its default.
     Raises: InputError for positions that are not among the states.
     """
     poses = mechanism.poses()
@@ -34,7 +35,10 @@ def links_in_view(mechanism: KinematicTree, xs: Mapping[str, Any], params: Mappi
     x = {leaf.name: xs.get(leaf.name) for leaf in leaves_of(*frames.values()) if isinstance(leaf, State)}
     for name, value in x.items():
         if value is None:
-            raise InputError(f"show: the mechanism has the state {name!r}, this motion has: {listed(xs, name)}")
+            raise InputError(
+                f"show: the mechanism has the state {name!r}, which the motion does not have; its states "
+                f"are: {listed(xs, name)}"
+            )
     count = len(next(iter(xs.values())))
     used_params = {n: p for n, p in params.items() if any(leaf.name == n for leaf in leaves_of(*frames.values()))}
     function = lower(frames)
@@ -47,7 +51,7 @@ def links_in_view(mechanism: KinematicTree, xs: Mapping[str, Any], params: Mappi
 
 
 def _of_inertia(link: Link, params: Mapping[str, Any]) -> tuple[Shape, ...]:
-    """The ellipsoid of a link's inertia; nothing for a point, or for an inertia that changes with the motion."""
+    """The ellipsoid of a link's inertia; nothing for a point mass, or for an inertia that changes during the motion."""
     if link.body is None:
         return ()
     parts: list[Expr] = [link.body.mass, link.body.center_of_mass, link.body.inertia]

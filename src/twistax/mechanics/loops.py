@@ -1,12 +1,12 @@
-"""Loop closures: what holds two frames of a mechanism together beyond its tree.
+"""Loop constraints: constraints between two frames of a mechanism in addition to its tree.
 
-A closure is a bearing between two frames. It carries wrenches in the span of a basis W (6, m), the constraint wrenches
-H-bar* of a joint, in the axes of the second frame. With T the pose of the second frame in the first, and V the twist
-of the second relative to the first, in the second's axes, a closed loop has
+A loop constraint is a bearing between two frames. It carries wrenches in the span of a basis W (6, m), the constraint
+wrenches H-bar* of a joint, in the axes of the second frame. Let T be the pose of the second frame in the first, and V
+the twist of the second relative to the first, in the second's axes. A closed loop satisfies
 
     gap(T) = 0 (m,)        W' V = 0 (m,)
 
-and the rate of the gap is W' V where the loop is closed. See `joints` for H-bar*.
+and the rate of the gap is W' V if the loop is closed. See `joints` for H-bar*.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ __getattr__ = earlier_classes(__name__)
 
 @dataclasses.dataclass(frozen=True)
 class Metric:
-    """The norm in which closure rows and constraint wrenches are compared, to find redundant closures.
+    """The norm in which rows of loop constraints and constraint wrenches are compared, to find redundant constraints.
 
     A length l combines units: a rotation counts as l times its angle, a translation as its distance, and a moment tau
     as a force tau / l. A closure row is independent if its distance from the span of the others exceeds `tolerance`
@@ -64,7 +64,8 @@ class Loop(ABC):
 
     Args:
         name: of the closure, unique within the mechanism.
-        frame, other: names of the two frames: of a link, a joint, or the base. Add frames by links on `Fixed` joints.
+        frame, other: names of the two frames: each of a link, a joint, or the base. Add frames by links on `Fixed`
+            joints.
         wrenches: W (6, m), a basis of the constraint wrenches, in the axes of `other`.
     Raises: ModelError for a missing name, or a frame that is named twice.
     """
@@ -74,7 +75,7 @@ class Loop(ABC):
             if not isinstance(text, str) or not text:
                 raise ModelError(f"{type(self).__name__} expects {what} to be a non-empty string, got {text!r}")
         if frame == other:
-            raise ModelError(f"loop {name!r} expects two frames, got {frame!r} twice")
+            raise ModelError(f"loop {name!r} expects two different frames, got {frame!r} twice")
         self.name, self.frame, self.other = name, frame, other
         self.constraint_basis = Constant(wrenches)
 
@@ -83,7 +84,7 @@ class Loop(ABC):
 
     @property
     def rows(self) -> int:
-        """The number m of its closure rows."""
+        """The number m of rows of the constraint."""
         return self.constraint_basis.shape[1]
 
     @abstractmethod
@@ -92,7 +93,7 @@ class Loop(ABC):
 
 
 class PointLoop(Loop):
-    """A ball-and-socket between two frames: their origins coincide. The closure residual is $R^T p$ (3,), m.
+    """A ball-and-socket constraint between two frames: their origins coincide. The closure residual is $R^T p$ (3,), m.
 
     Args:
         name, frame, other: as for `Loop`.
@@ -107,9 +108,10 @@ class PointLoop(Loop):
 
 
 class AxisLoop(Loop):
-    """A hinge between two frames: their origins coincide, and an axis of one is parallel to that of the other.
+    """A hinge constraint between two frames: their origins coincide, and an axis of one is parallel to that of the
+    other.
 
-    With U (3, 2) two directions perpendicular to the axis a, the closure residual is $[R^T p; U^T (R^T a x a)]$ (5,).
+    With U (3, 2) two unit vectors perpendicular to the axis a, the closure residual is $[R^T p; U^T (R^T a x a)]$ (5,).
 
     Args:
         name, frame, other: as for `Loop`.
@@ -131,7 +133,7 @@ class AxisLoop(Loop):
 
 
 class PoseLoop(Loop):
-    """A weld between two frames: they coincide. The closure residual is $[R^T p; Log R]$ (6,).
+    """A weld constraint between two frames: they coincide. The closure residual is $[R^T p; Log R]$ (6,).
 
     Args:
         name, frame, other: as for `Loop`.
@@ -146,10 +148,11 @@ class PoseLoop(Loop):
 
 
 def check_loops(loops: Iterable[Any], metric: Any, segment: Callable[[str], int]) -> None:
-    """Raise ModelError for something that is no loop, for a loop that joins a body with itself, or for two of one name.
+    """Raise ModelError for an object that is not a loop constraint, for one that connects a body with itself, and for a
+    repeated name.
 
     Args:
-        segment: the number of the segment that a frame is fixed to.
+        segment: a function from the name of a frame to the index of the segment that it is fixed to.
     """
     of_kind("Mechanism", "loop_metric", metric, Metric)
     for loop in loops:
@@ -159,4 +162,4 @@ def check_loops(loops: Iterable[Any], metric: Any, segment: Callable[[str], int]
             raise ModelError(f"{loop!r} connects two frames of one body, which cannot move relative to each other")
     names = [loop.name for loop in loops]
     if len(set(names)) < len(names):
-        raise ModelError(f"two loops have one name, got {listed(names)}")
+        raise ModelError(f"loops must have different names, got {listed(names)}")

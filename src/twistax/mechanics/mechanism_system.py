@@ -1,5 +1,5 @@
-"""A mechanism as a system: its motors as controls and its limits as bounds, or accelerations as controls and torques as
-constraints.
+"""A mechanism as a system: with motors as controls and limits as bounds, or with accelerations as controls and torques
+as constraints.
 """
 
 from __future__ import annotations
@@ -64,8 +64,8 @@ def system_of(
     twice = [state.name for state in motion if state.name in further]
     if twice:
         raise ModelError(
-            f"system expects rates of further states, got {listed(twice)}, which have rates already.\n"
-            "  fix: add forces to forces= or wrenches="
+            f"system expects rates of additional states, got {listed(twice)}, which the mechanism determines.\n"
+            "  fix: pass forces in forces= or wrenches="
         )
     return System(
         rates={**motion, **(rates or {})},
@@ -78,7 +78,7 @@ def system_of(
 
 
 def _passive_forces(mechanism: KinematicTree, places: list[Expr]) -> list[Expr]:
-    """The force of springs, damping and friction on each freedom, N or N m."""
+    """The force of springs, damping and friction on each degree of freedom, N or N m."""
     tau: list[Expr] = [Constant(0.0)] * mechanism.dofs
     for segment, place in zip(mechanism.segments, places, strict=True):
         drive, deflection = segment.link.drive, segment.link.joint.deflection(place)
@@ -91,7 +91,7 @@ def _passive_forces(mechanism: KinematicTree, places: list[Expr]) -> list[Expr]:
 
 
 def kinematics(mechanism: KinematicTree, places: list[Expr], qd: Expr) -> dict[Any, Expr]:
-    """The rates of all positions at velocities (n,)."""
+    """The rates of all positions for velocities (n,)."""
     q = mechanism.q
     vector = q if isinstance(q, State) else q.get("q")
     group_rates: dict[Any, Expr] = {}
@@ -109,7 +109,7 @@ def kinematics(mechanism: KinematicTree, places: list[Expr], qd: Expr) -> dict[A
 
 # ---- by inverse dynamics ---------------------------------------------------------------------------------------------
 
-#: The names of what is added to a system, which its user may not take.
+#: Names that the system adds, which users cannot use.
 _COMMAND, _LEAST, _MOST, _FREE = "tau", "tau at least", "tau at most", "freedoms without motors"
 
 
@@ -127,7 +127,7 @@ def inverse_system_of(
     if mechanism.loops:
         raise ModelError(
             "inverse_system expects a tree, got a mechanism with loops, whose wrenches are not determined.\n"
-            "  fix: take system(), or cut the loops and give their forces as controls by wrenches="
+            "  fix: use system(), or remove the loops and pass their forces as controls in wrenches="
         )
     qdd = Control("qdd", (mechanism.dofs,))
     places = mechanism.positions("inverse_system", None)
@@ -146,8 +146,8 @@ def inverse_system_of(
         without = [mechanism.joints[i] for i, s in enumerate(mechanism.segments) if _ungeared(s, driven)]
         if without:
             raise ModelError(
-                f"inverse_system: motors of {listed(without)} have the gear zero, so no command gives their force.\n"
-                "  fix: controls=[...] without them"
+                f"inverse_system: the motors of {listed(without)} have a gear of zero, so their force does "
+                "not depend on a command.\n  fix: leave them out of controls=[...]"
             )
         command = Concat(*(left[i] / gears[i] for i in driven))
         shown[_COMMAND] = command
@@ -163,7 +163,9 @@ def inverse_system_of(
     further = constraints_by_name(constraints)
     for kind, names, taken in (("outputs", outputs or {}, shown), ("constraints", further, rows)):
         if twice := [name for name in names if name in taken]:
-            raise ModelError(f"inverse_system: {kind} names {listed(twice)}, which it adds itself.\n  fix: rename it")
+            raise ModelError(
+                f"inverse_system: {kind} names {listed(twice)}, which the system adds itself.\n  fix: rename it"
+            )
     labels = labels_of(mechanism, [])
     labels["qdd"] = [(name, f"{unit}2" if unit.endswith("/s") else unit) for name, unit in labels["qd"]]
     motion: dict[Any, ExprLike] = {**kinematics(mechanism, places, mechanism.qd), mechanism.qd: qdd}
@@ -178,6 +180,6 @@ def _ungeared(segment: Segment, driven: list[int]) -> bool:
 
 
 def _gears(mechanism: KinematicTree) -> dict[int, ExprLike]:
-    """The joint force per unit of command of every freedom, of its joint and not of those that mimic it."""
+    """The joint force per unit of command for every degree of freedom, of its joint without those that mimic it."""
     segments = [segment for segment in mechanism.segments if segment.link.mimic is None]
     return {i: segment.link.drive.gear for segment in segments for i in segment.freedoms}

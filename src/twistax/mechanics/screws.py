@@ -1,11 +1,12 @@
-"""Joints as screws: what a joint lets move, what drives it, and what its bearing carries.
+"""Joints as screws: their motion subspace, actuation wrenches and constraint wrenches.
 
-With k freedoms: motion subspace H (6, k), working wrenches h* (6, k), constraint wrenches H-bar* (6, 6 - k), and
+A joint with k degrees of freedom has a motion subspace H (6, k), working wrenches h* (6, k) and constraint wrenches
+H-bar* (6, 6 - k) with
 
-    h*^T H = I        H^T H-bar* = 0        [h* H-bar*] is a basis of all wrenches.
+    h*^T H = I, H^T H-bar* = 0, and [h* H-bar*] a basis of all wrenches.
 
-A change of frame by T_ab maps motions by Ad_T and wrenches by Ad*_T = Ad_T^-T, so all three hold in every frame. That
-h* and H-bar* are orthogonal does not: a dot product of two wrenches changes with the frame.
+A change of frame by T_ab maps motions by Ad_T and wrenches by Ad*_T = Ad_T^-T, so all three statements hold in every
+frame. In contrast, orthogonality of h* and H-bar* depends on the frame, because the dot product of two wrenches does.
 
 Source: R. Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 3.
 """
@@ -28,9 +29,9 @@ from ..expr.lie.base import unit_vector
 from ..groups import SE3, SO3, Group
 from .arguments import of_shape, pose
 
-#: What a state is known as.
+#: The field names of a subspace.
 Known: TypeAlias = tuple[Kind | None, Unit | None]
-#: How far h*^T H may be from the identity.
+#: The tolerance of h*^T H = I.
 _ROUND_OFF = 1e-12
 
 
@@ -97,16 +98,16 @@ class Screws(Subspaces):
 
 
 def complement(columns: np.ndarray) -> np.ndarray:
-    """An orthonormal basis (n, n - k) of what is orthogonal to the independent columns (n, k).
+    """An orthonormal basis (n, n - k) of the orthogonal complement of independent columns (n, k).
 
-    The k coordinate axes closest to the columns are left out; the others, in order, are made orthogonal to the columns
-    and to each other. So the complement of coordinate axes is the other coordinate axes.
+    The k coordinate axes closest to the columns are omitted; the others, in order, are made orthogonal to the columns
+    and to each other. So the complement of coordinate axes consists of the other coordinate axes.
     """
     n, k = columns.shape
     basis = list(np.linalg.qr(columns)[0].T)
     left, near = sum((np.outer(b, b) for b in basis), start=np.zeros((n, n))), []
     for _ in range(k):
-        # Rounded, so that a tie falls to the first axis on every machine.
+        # Rounded, so that ties are decided for the first axis on every machine.
         i = int(np.argmax(np.round(np.diag(left), 9)))
         near.append(i)
         left = left - np.outer(left[:, i], left[i]) / left[i, i]
@@ -124,20 +125,22 @@ def complement(columns: np.ndarray) -> np.ndarray:
 
 
 def turns_of(motion_subspace: Expr) -> tuple[bool, ...] | None:
-    """By freedom, whether it is a turn, in rad, and no slide, in m; None where H is an expression."""
+    """For each degree of freedom whether it is a rotation, in rad, or a translation, in m; None
+    if H is an expression.
+    """
     if not isinstance(motion_subspace, Constant):
         return None
     return tuple(bool(np.any(column[3:])) for column in np.asarray(motion_subspace.value).T)
 
 
 def unit_of(motion_subspace: Expr) -> Unit | None:
-    """The unit that all coordinates of a joint have; None where they differ."""
+    """The common unit of all coordinates of a joint; None if the units differ."""
     turns = set(turns_of(motion_subspace) or ())
     return None if len(turns) != 1 else ONE if turns == {True} else METRE
 
 
 def kinds_of(motion_subspace: Expr, group: Group | None) -> tuple[Known, Known]:
-    """The kind and the unit of position and velocity. Their frames are named by what the joint connects."""
+    """The kind and the unit of position and velocity. Their frames are those that the joint connects."""
     if group is SE3:
         return (Pose(), None), (Twist(), None)
     if group is SO3:
@@ -152,7 +155,7 @@ def element_kind(group: Group | None, to: str, source: str) -> Kind | None:
 
 
 def screw(linear: Any, angular: Any) -> Any:
-    """H of one freedom; numbers if both halves are numbers."""
+    """H of a joint with one degree of freedom; numbers if both halves are numbers."""
     if isinstance(linear, Expr) or isinstance(angular, Expr):
         return twist(linear=linear, angular=angular)[:, None]
     return np.concatenate([linear, angular])
@@ -171,27 +174,29 @@ def across(a: Expr) -> Expr:
 
 
 def checked_motion(owner: str, value: Any) -> np.ndarray:
-    """H (6, k) of numbers. Raises ShapeError; ModelError for columns that are not finite and independent."""
+    """H (6, k) as numbers. Raises ShapeError for another shape, and ModelError for columns that are not finite and
+    independent.
+    """
     H = _columns(f"{owner}: motion", value)
     if H.ndim != 2 or H.shape[0] != 6 or H.shape[1] > 6:
         raise ShapeError(f"{owner} expects motion with shape (6, k), k from 0 to 6, got {np.shape(value)}")
     if not np.isfinite(H).all() or (H.size and np.linalg.matrix_rank(H) < H.shape[1]):
         raise ModelError(
             f"{owner} expects motion with finite, independent columns, got\n{H}\n"
-            "  fix: one column for each freedom, none of them a combination of others"
+            "  fix: pass one column for each degree of freedom, linearly independent"
         )
     return H
 
 
 def checked_actuation(owner: str, basis: Any, H: np.ndarray) -> np.ndarray:
-    """h* (6, k) of numbers. Raises ShapeError; ModelError where h*^T H is not the identity."""
+    """h* (6, k) as numbers. Raises ShapeError for another shape, and ModelError if h*^T H is not the identity."""
     h = _columns(f"{owner}: actuation_basis", basis)
     if h.shape != H.shape:
         raise ShapeError(f"{owner} expects actuation_basis with the shape of motion, {H.shape}, got {h.shape}")
     product = h.T @ H
     if not np.allclose(product, np.eye(H.shape[1]), rtol=0.0, atol=_ROUND_OFF):
         raise ModelError(
-            f"{owner}: actuation_basis must give unit power on the motions, actuation_basis.T @ motion = I, got\n"
+            f"{owner}: actuation_basis must satisfy actuation_basis.T @ motion = I; the product is\n"
             f"{product}\n  fix: leave actuation_basis out, or divide it by this product"
         )
     return h
@@ -203,7 +208,7 @@ def _columns(place: str, value: Any) -> np.ndarray:
 
 
 def direction(owner: str, axis: Any) -> Any:
-    """A unit vector (3,): numbers, or an expression whose value, where it is known, is a direction."""
+    """A unit vector (3,): numbers, or an expression whose value, if it is known, is checked."""
     if not isinstance(axis, Expr):
         return unit_vector(owner, "axis", axis)
     a = of_shape(owner, "axis", axis, (3,))

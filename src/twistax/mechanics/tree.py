@@ -1,4 +1,4 @@
-"""Trees of bodies and joints: the links of the user, and the segments of the recursions.
+"""Kinematic trees of bodies and joints: the links that users define, and the segments of the recursions.
 
 Source: R. Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 4, for trees; [v; w] here.
 """
@@ -32,7 +32,7 @@ class Mimic:
     Attributes:
         joint: the name of the leading joint.
         ratio, offset: finite numbers; the offset in rad or m.
-    Raises: ModelError if they are not.
+    Raises: ModelError if ratio or offset is not a finite number.
     """
 
     joint: str
@@ -57,10 +57,10 @@ class Link:
     Attributes:
         joint: a joint of any kind.
         body: mass, centre of mass and inertia in the link's frame; None for a link without mass.
-        mount: T (4, 4) of the joint's parent frame in the frame of the parent link, or of the base: numbers, or an
-            expression that does not change with the motion.
+        mount: pose T (4, 4) of the joint's parent frame in the frame of the parent link, or of the base: numbers, or an
+            expression that is constant during the motion.
         parent: the name of the parent link; None for the base. In a `Chain` it is the previous link of the list.
-        name: of the link; the name of the joint by default.
+        name: the name of the link; by default that of the joint.
         drive: rotor, damping, friction, spring, gear and limits of the joint.
         mimic: the joint that this one follows, or None.
         shapes: what `solution.show` draws for the link; by default the ellipsoid of its inertia.
@@ -88,7 +88,8 @@ class Link:
             raise ModelError(f"Link expects a Drive as drive, got {self.drive!r}")
         if self.mimic is not None and (not isinstance(self.mimic, Mimic) or self.joint.dofs != 1):
             raise ModelError(
-                f"Link expects mimic to be a Mimic, of a joint with one freedom, got {self.mimic!r} of {self.joint!r}"
+                "Link expects a Mimic as mimic, and a joint with one degree of freedom, got "
+                f"{self.mimic!r} of {self.joint!r}"
             )
         object.__setattr__(self, "shapes", shapes_of("Link", self.shapes))
         owner = f"Link {self.name or self.joint.name!r}"
@@ -96,7 +97,7 @@ class Link:
         object.__setattr__(self, "name", self.name or self.joint.name)
 
     def transform(self, position: Expr) -> Expr:
-        """T (4, 4) of the link's frame in that of the link before, of the joint's position."""
+        """The pose T (4, 4) of the link's frame in that of its parent link, as a function of the joint's position."""
         R, _ = parts_of_pose(self.mount)
         turn, shift = parts_of_pose(self.joint.placement(position))
         return Pose(Compose(R, turn), Act(self.mount, shift))
@@ -106,7 +107,7 @@ class Link:
 
 
 def shapes_of(owner: str, shapes: Any) -> tuple[Shape, ...]:
-    """Shapes, or one, as a tuple. Raises ModelError for something else."""
+    """Shapes, or one shape, as a tuple. Raises ModelError for other objects."""
     sequence = (shapes,) if isinstance(shapes, Shape) else tuple(shapes) if isinstance(shapes, Iterable) else (shapes,)
     wrong = [shape for shape in sequence if not isinstance(shape, Shape)]
     if wrong:
@@ -116,13 +117,13 @@ def shapes_of(owner: str, shapes: Any) -> tuple[Shape, ...]:
 
 @dataclasses.dataclass(frozen=True)
 class Segment:
-    """A link with all that is fixed to it, one node of the recursions.
+    """A link merged with all links that are fixed to it, a node of the recursions.
 
     Attributes:
-        link: its mount is in the segment before.
-        body: merged with what is fixed to it; None without mass.
-        before: the number of the segment before; -1 for the base.
-        freedoms: the entries of the velocity that move it, those of the leader for a follower.
+        link: the link; its mount is in the parent segment.
+        body: the body, merged with all that is fixed to it; None without mass.
+        before: the index of the parent segment; -1 for the base.
+        freedoms: the entries of the velocity that move it; for a mimic joint those of the joint that it follows.
         coordinates: the entries of the position vector; None for a position on a group.
     """
 
@@ -134,38 +135,40 @@ class Segment:
 
     @property
     def ratio(self) -> float:
-        """The ratio of a follower to its leader, else 1."""
+        """The ratio of a mimic joint, else 1."""
         return 1.0 if self.link.mimic is None else self.link.mimic.ratio
 
     @functools.cached_property
     def inner_motion(self) -> InnerMotion | None:
-        """The effect of masses that move inside the body; None if nothing moves. Raises ModelError."""
+        """The effect of masses that move inside the body; None if none move. Raises ModelError for unknown rates."""
         return None if self.body is None else self.body.inner_motion
 
     @property
     def moves_by_motor(self) -> bool:
-        """Whether its joint has a motor by default: it is passive if it has a spring and no effort."""
+        """Whether its joint has a motor by default. A joint is passive if its drive has a spring and no effort."""
         drive, joint = self.link.drive, self.link.joint
         passive = drive.sprung and drive.effort is None
         return joint.dofs < 6 and self.link.mimic is None and not passive
 
     def scaled(self, value: Expr) -> Expr:
-        """The value times the ratio of a follower; the value itself for other joints."""
+        """The value times the ratio of a mimic joint; the value itself for other joints."""
         return value if self.link.mimic is None else self.ratio * value
 
 
 @dataclasses.dataclass(frozen=True)
 class Frame:
-    """A frame fixed to a segment, or to the base where `segment` is -1: T (4, 4) of it in the segment's frame."""
+    """A frame that is fixed to a segment, or to the base if `segment` is -1, with its pose T (4, 4) in the segment's
+    frame.
+    """
 
     segment: int
     T: Expr
 
 
 def sorted_links(links: Iterable[Any], base: str) -> tuple[Link, ...]:
-    """The links, every one after its parent, branch by branch.
+    """The links sorted so that each follows its parent, branch by branch.
 
-    Raises: ModelError for no links; something else among them; two of one name; a parent that is not there; a circle.
+    Raises: ModelError for no links; objects that are not links; repeated names; an unknown parent; a cycle.
     """
     if not isinstance(links, Iterable):
         raise ModelError(f"expected links made by Link, got {links!r}")
@@ -178,15 +181,15 @@ def sorted_links(links: Iterable[Any], base: str) -> tuple[Link, ...]:
     for kind, names in (("links", [link.name for link in links]), ("joints", [link.joint.name for link in links])):
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
-            raise ModelError(f"two {kind} are named {twice[0]!r}.\n  fix: names are unique within a mechanism")
+            raise ModelError(f"two {kind} are named {twice[0]!r}.\n  fix: use unique names within a mechanism")
     known = [link.name for link in links]
     children: dict[str | None, list[Link]] = {}
     for link in links:
         parent = None if link.parent == base and base not in known else link.parent
         if parent is not None and parent not in known:
             raise ModelError(
-                f"link {link.name!r} sits on {parent!r}, and there is no link of that name; known are "
-                f"{listed(sorted(known), parent)}.\n  fix: parent=None stands for the base"
+                f"link {link.name!r} has the parent {parent!r}, but there is no link of that name; known are "
+                f"{listed(sorted(known), parent)}.\n  fix: use the name of a link, or parent=None for the base"
             )
         children.setdefault(parent, []).append(link)
     order: list[Link] = []
@@ -198,7 +201,7 @@ def sorted_links(links: Iterable[Any], base: str) -> tuple[Link, ...]:
         left = sorted(set(known) - {link.name for link in order})
         raise ModelError(
             f"the links {listed(left)} are not connected to the base.\n"
-            "  fix: a mechanism is a tree: follow parent= from each of them, one has to end in None"
+            "  fix: check parent= of these links: one of them must be None"
         )
     return tuple(order)
 
@@ -208,7 +211,8 @@ def segments_of(
 ) -> tuple[tuple[Segment, ...], dict[str, Frame]]:
     """The segments of moving links, with fixed links merged, and the frame of every link.
 
-    Raises: ModelError for a follower of something that does not move by itself with one freedom.
+    Raises: ModelError for a mimic joint whose leading joint does not exist, is itself a mimic joint, or does not have
+    one degree of freedom.
     """
     ground = Frame(-1, Constant(np.eye(4)))
     frames = {base: ground}  # a link may have the name of the base
@@ -234,7 +238,7 @@ def segments_of(
 
 
 def merged(bodies: list[SpatialInertia]) -> SpatialInertia | None:
-    """Their sum as one inertia; None without any."""
+    """The sum of inertias as one inertia; None for no inertia."""
     return functools.reduce(SpatialInertia.merge, bodies) if bodies else None
 
 
@@ -263,9 +267,9 @@ def _numbered(links: list[Link]) -> tuple[Mapping[str, tuple[int, ...]], Mapping
         leader = link.mimic.joint
         if leader not in leaders:
             raise ModelError(
-                f"joint {link.joint.name!r} follows {leader!r}, and no joint of one freedom that moves by itself has "
-                f"that name; such are {listed(leaders, leader)}.\n"
-                "  fix: a joint follows one that is in the mechanism, has one freedom and does not follow another"
+                f"joint {link.joint.name!r} mimics {leader!r}, which is not a joint with one degree of "
+                f"freedom that mimics no other; such joints are {listed(leaders, leader)}.\n"
+                "  fix: mimic one of these joints"
             )
         freedoms[link.joint.name], coordinates[link.joint.name] = freedoms[leader], coordinates[leader]
     return freedoms, coordinates

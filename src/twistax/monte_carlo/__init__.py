@@ -1,4 +1,6 @@
-"""Monte Carlo: one function of many members, in chunks over all devices, resumable from disk, failures by number."""
+"""Monte Carlo simulation: one function for many members, in chunks over all devices, resumable from disk, with failures
+by member.
+"""
 
 from .sweeps import Statistics, Sweep, sweep
 

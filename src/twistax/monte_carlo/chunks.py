@@ -23,16 +23,16 @@ _AGREE = 1e-6
 
 
 class Chunks:
-    """Chunks by number: in memory, or in a folder a file for each, which is there complete or not at all.
+    """Chunks by number: in memory, or in a folder with a file for each, which exists only when it is complete.
 
     Args:
-        folder: made if missing; None for memory.
-        setup: what says whether files that are there are of this sweep.
-        count: how many chunks there are.
-        shapes: those of the columns of one of them, by number.
-        compute: gives one of them, by number.
+        folder: the folder, created if missing; None for memory.
+        setup: the data that identify the sweep to which existing files belong.
+        count: the number of chunks.
+        shapes: a function from the number of a chunk to the shapes of its columns.
+        compute: a function that computes a chunk, from its number.
     Raises:
-        InputError: a folder that cannot be used, or has another sweep.
+        InputError: a folder that cannot be used, or that contains another sweep.
     """
 
     def __init__(
@@ -60,8 +60,8 @@ class Chunks:
             scale = np.max(np.abs(np.where(np.isfinite(new), new, 0.0)), axis=0)
             if not np.isclose(old, new, rtol=_AGREE, atol=_AGREE * scale, equal_nan=True).all():
                 raise InputError(
-                    f"{folder} holds results of another function: chunk {first} computed again differs.\n"
-                    "  fix: give another directory, or remove that one"
+                    f"{folder} contains results of another function: chunk {first} has other values when "
+                    "it is computed again.\n  fix: pass another directory, or remove that one"
                 )
 
     def __contains__(self, k: int) -> bool:
@@ -111,7 +111,9 @@ def _check_setup(folder: Path, setup: dict[str, Any]) -> None:
     different = [name for name in setup if there.get(name) != setup[name]]
     if different:
         values = ", ".join(f"{name} {there.get(name)} there, {setup[name]} here" for name in different)
-        raise InputError(f"{folder} holds another sweep: {values}.\n  fix: give another directory, or remove it")
+        raise InputError(
+            f"{folder} contains another sweep: {values}.\n  fix: pass another directory, or remove that one"
+        )
 
 
 def _write(path: Path, write: Callable[[Any], Any]) -> None:

@@ -1,4 +1,6 @@
-"""Monte Carlo: one function of many members, in chunks over all devices, resumable from disk, failures by number."""
+"""Monte Carlo simulation: one function for many members, in chunks over all devices, resumable from disk, with failures
+by member.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,7 @@ class Statistics:
     Every array has the shape and the unit of the result of one member.
 
     Attributes:
-        count: number of members that did not fail.
+        count: the number of members that did not fail.
         mean, std: the mean, and the sample standard deviation (divisor n - 1).
         least, most: the smallest and the largest value.
     """
@@ -61,7 +63,7 @@ class Sweep:
     Attributes:
         count: the number of members.
         codes: (count,) the number of each member's `Result`.
-        statistics: of the members that did not fail.
+        statistics: statistics over the members that did not fail.
     """
 
     def __init__(self, plan: _Plan, chunks: Chunks) -> None:
@@ -75,7 +77,7 @@ class Sweep:
 
     @property
     def failed(self) -> dict[int, Result]:
-        """The members that failed, by number. `member` returns the inputs of one."""
+        """The numbers of the members that failed. `member` returns the inputs of one."""
         bad = np.flatnonzero(~ended_well(self.codes))
         return {int(i): Result(int(self.codes[i])) for i in bad}
 
@@ -86,11 +88,11 @@ class Sweep:
         return self._plan.tree([np.concatenate(parts) for parts in zip(*chunks, strict=True)])
 
     def percentiles(self, percent: float | int | Sequence[float | int]) -> Any:
-        """Percentiles of each result over the members that did not fail, by linear interpolation; one result in memory
-        at a time.
+        """Percentiles of each result over the members that did not fail, by linear interpolation; only one result is in
+        memory at a time.
 
         Args:
-            percent: 0 to 100, one number or several, which make a leading axis.
+            percent: from 0 to 100, one number or several, which become a leading axis.
         Raises:
             InputError: numbers outside of this range; every member failed.
         """
@@ -99,7 +101,10 @@ class Sweep:
             raise InputError(f"percentiles expects numbers from 0 to 100, got {percent}")
         good = ended_well(self.codes)
         if not good.any():
-            raise InputError(f"percentiles expects members that did not fail; all {self.count} did, see Sweep.failed")
+            raise InputError(
+                f"percentiles expects at least one member that did not fail, but all {self.count} failed; "
+                "see Sweep.failed"
+            )
 
         def column(place: int) -> NDArray[Any]:
             return np.concatenate([self._chunks.read(k)[place] for k in range(self._plan.chunks)])[good].astype(float)
@@ -110,7 +115,7 @@ class Sweep:
         """The inputs of a member.
 
         Raises:
-            InputError: there is no such member.
+            InputError: the member does not exist.
         """
         if whole("member: number", number, 0) >= self.count:
             raise InputError(f"member expects a number from 0 to {self.count - 1}, got {number}")
@@ -128,7 +133,8 @@ def sweep(
     devices: Sequence[jax.Device] | None = None,
     progress: bool | None = None,
 ) -> Sweep:
-    """Run a function for many members, for example a Monte Carlo over initial states, parameters and controls.
+    """Run a function for many members, for example in a Monte Carlo simulation over initial states, parameters and
+    controls.
 
         def drop(member):
             solution = tx.integrate(dynamics, member["x"], t1=10.0, dt=1e-3, params=member["params"])
@@ -137,25 +143,25 @@ def sweep(
         found = tx.sweep(drop, lambda key: {"x": ..., "params": ...}, count=100_000, directory="out/drop")
         found.statistics.mean["miss"], found.percentiles([5, 50, 95])["miss"], found.failed
 
-    Members are computed in chunks, and each chunk is distributed over the devices. With a directory every complete
-    chunk is stored: a repeated call resumes an interrupted one, and several processes of
-    `jax.distributed` with the same directory share the chunks. A member that fails is listed by its number, with its
-    `Result`, and does not affect the others.
+    Members are computed in chunks, and each chunk is distributed over the devices. With a directory, every complete
+    chunk is stored: a repeated call resumes an interrupted one, and several processes of `jax.distributed` with the
+    same directory share the chunks. A member that fails is listed by its number, with its `Result`, and does not affect
+    the others.
 
     Args:
-        run: traceable, from one member to a `Solution`, to (Solution, results), or to results alone, a pytree of
-            arrays. Of a solution alone the states at the saved times are stored. A member fails if its solution
+        run: a traceable function from one member to a `Solution`, to (Solution, results), or to results alone, a pytree
+            of arrays. For a solution alone, the states at the saved times are stored. A member fails if its solution
             fails, or if a result is not finite.
-        members: a pytree of arrays, members on the leading axis; or a traceable function from a random key to one
-            member, whose key depends on `seed` and its number alone.
-        count: the number of members, for a function.
+        members: a pytree of arrays with members on the leading axis; or a traceable function from a random key to one
+            member. The key depends only on `seed` and the member's number.
+        count: the number of members, required if `members` is a function.
         chunk: the number of members in memory at a time, in each process.
-        directory: the folder of the chunks, which is created if missing. None stores them in memory.
-        devices: devices of this process; all for None.
-        progress: show a line on the terminal; None: if there is a terminal.
+        directory: the folder of the chunks, which is created if missing. None keeps them in memory.
+        devices: devices of this process; None means all.
+        progress: whether to show a line on the terminal; None: if there is a terminal.
     Raises:
-        InputError: axes of different lengths, a missing or ambiguous count, several processes without a
-            directory; a directory with another sweep.
+        InputError: leading axes of different lengths, a missing or ambiguous count, several processes without a
+            directory, a directory with another sweep.
     """
     usable = jax.local_devices() if devices is None else list(devices) if np.iterable(devices) else []
     local = {d for d in usable if isinstance(d, jax.Device) and d.process_index == jax.process_index()}
@@ -163,7 +169,7 @@ def sweep(
         raise InputError(f"sweep: devices must be a list of different devices of this process, got {short(devices)}")
     plan = _Plan.of(run, members, count, seed, chunk, usable)
     if directory is None and jax.process_count() > 1:
-        raise InputError("sweep in several processes needs a directory that they share: sweep(..., directory=...)")
+        raise InputError("sweep in several processes requires a shared directory: sweep(..., directory=...)")
     instance("sweep: progress", progress, (bool, type(None)), "True, False or None", InputError)
     folder = None if directory is None else path_of("sweep", directory)
     chunks = Chunks(folder, plan.setup(), plan.chunks, plan.shapes_of, plan.compute)
@@ -199,7 +205,7 @@ class _Plan:
         self.shapes = [(leaf.shape, np.dtype(leaf.dtype).str) for leaf in jax.tree.leaves(shape[0])]
         self.columns = len(self.shapes)
         if not self.columns:
-            raise InputError("sweep expects run to give a Solution or arrays, and it gives nothing")
+            raise InputError("sweep expects run to return a Solution or arrays, but it returns nothing")
         mapped = jax.vmap(self._one)
         if len(devices) > 1:
             shared = PartitionSpec("members")
@@ -216,13 +222,13 @@ class _Plan:
             raise InputError(f"sweep: seed must be less than 2^32, got {seed}")
         if callable(members):
             if count is None:
-                raise InputError("sweep expects a count beside a function that draws members: sweep(..., count=...)")
+                raise InputError("sweep expects a count if members is a function: sweep(..., count=...)")
             callable_with("sweep: members", members, ["key"], InputError)
             drawn = jax.make_jaxpr(members)(jax.random.key(0)).jaxpr
             if drawn.invars[0] not in [*drawn.outvars, *(v for eqn in drawn.eqns for v in eqn.invars)]:
                 raise InputError(
-                    "sweep: members gives the same member for every key.\n"
-                    "  fix: draw with the key, as jax.random.normal(key) does"
+                    "sweep: members returns the same member for every key.\n"
+                    "  fix: draw random numbers with the key, as jax.random.normal(key) does"
                 )
             return cls(run, members, None, count, seed, size, devices)
         arrays = jax.tree.map(_as_jax_has_it, members)
@@ -231,11 +237,11 @@ class _Plan:
         if len(lengths) != 1 or lengths & {(), (0,)}:
             raise InputError(
                 f"sweep expects arrays with one length of the leading axis, at least 1, got shapes {shapes}.\n"
-                "  fix: give arrays, np.array([...]); the entries of a list are arrays of their own"
+                "  fix: pass arrays, np.array([...]); the entries of a list count as separate arrays"
             )
         ((length,),) = lengths
         if count is not None and count != length:
-            raise InputError(f"sweep has arrays of {length} members, and count is {count}.\n  fix: leave count out")
+            raise InputError(f"sweep has arrays of {length} members, but count is {count}.\n  fix: leave count out")
         return cls(run, None, arrays, length, seed, size, devices)
 
     def tree(self, columns: Sequence[Any]) -> Any:
@@ -285,7 +291,7 @@ class _Plan:
         is_solution = lambda part: isinstance(part, Solution)  # noqa: E731
         if any(map(is_solution, jax.tree.leaves(results, is_leaf=is_solution))):
             raise InputError(
-                "sweep: run gives a Solution within its results, whose failure would not be seen.\n"
+                "sweep: run returns a Solution within its results, whose failure would not be detected.\n"
                 "  fix: return (solution, results), or solution.xs of the others"
             )
         results = jax.tree.map(_as_numpy_has_it, results)
@@ -299,7 +305,7 @@ def _as_numpy_has_it(value: Any) -> jax.Array:
     array = jnp.asarray(value)
     if (array.dtype != bool and not jnp.issubdtype(array.dtype, np.number)) or jnp.iscomplexobj(array):
         raise InputError(
-            f"sweep expects run to give real numbers, got {array.dtype}.\n"
+            f"sweep expects run to return real numbers, got {array.dtype}.\n"
             "  fix: return real and imaginary parts of complex numbers, and jax.random.key_data of keys"
         )
     return array.astype(jnp.float32) if array.dtype.kind == "V" else array
@@ -318,12 +324,13 @@ def _as_jax_has_it(value: Any) -> NDArray[Any]:
     if array.dtype != bool and not jnp.issubdtype(array.dtype, np.number):
         raise InputError(
             f"sweep: members must be arrays of known numbers, got {short(value)}.\n"
-            "  fix: for random keys give a function of a key, and a count; call sweep outside of jit and vmap"
+            "  fix: for random keys pass a function of a key, and a count; call sweep outside of jit and vmap"
         )
     canonical = array.astype(jax.dtypes.canonicalize_dtype(array.dtype))
     if array.dtype.kind in "iu" and not np.array_equal(canonical, array):
         raise InputError(
-            f"sweep has members that {canonical.dtype} cannot hold.\n  fix: jax.config.update('jax_enable_x64', True)"
+            f"sweep has members that {canonical.dtype} cannot represent.\n"
+            "  fix: use jax.config.update('jax_enable_x64', True)"
         )
     return canonical
 

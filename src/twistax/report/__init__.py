@@ -1,1 +1,1 @@
-"""Figures about the library that a command can print: accuracy, stability, speed."""
+"""Reports on accuracy, stability and speed, which commands print."""

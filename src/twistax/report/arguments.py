@@ -1,4 +1,6 @@
-"""The options of `python -m twistax report`. Names are looked up only when one is given: that loads the package."""
+"""The options of `python -m twistax report`. Names are looked up only if one is passed, because that loads the
+package.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`python -m twistax report`: measure what is not there yet, print what came, write page, figures and tables."""
+"""`python -m twistax report`: measure what is missing, print results, and write the page, figures and tables."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _PARTIAL = ("quick", "scene", "method", "case")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run the report that the options ask for, as `add_options` declares them.
+    """Run the report that the options select, as `add_options` declares them.
 
     Returns the exit status: 0 done; 1 something disagrees, or a measurement is not what was asked for; 2 the folder
     cannot be written, --renew would write partial tables, --only names a section of another report, or jinja2 or,
@@ -69,7 +69,7 @@ def _refuse(why: str) -> int:
 
 
 def run_report(report: Report, arguments: argparse.Namespace) -> int:
-    """Run a report: measure, print, save and renew documents. Returns the exit status; see `run`."""
+    """Run a report: measure, print, save and update documents. Returns the exit status; see `run`."""
     begin = time.perf_counter()
     folder: Path = arguments.out
     try:

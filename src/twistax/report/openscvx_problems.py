@@ -1,4 +1,5 @@
-"""Trajectory problems in OpenSCvx: a separate program, as OpenSCvx sets the precision of all of JAX.
+"""Trajectory problems in OpenSCvx: a separate program, because OpenSCvx sets the precision of JAX for the whole
+process.
 
 `python -m twistax.report.openscvx_problems '{"name": "goddard", "nodes": 51, "settings": [{}]}'` prints the result of
 each settings of `openscvx.Problem`, as JSON; `uniform` among them is `Time.uniform_time_grid`. OpenSCvx scales every

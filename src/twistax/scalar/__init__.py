@@ -1,1 +1,1 @@
-"""A compiler of small JAX functions: their scalars as a graph, with derivatives, for XLA, LLVM, C and CasADi."""
+"""A compiler of small JAX functions: scalar programs as graphs, with derivatives, for XLA, LLVM, C and CasADi."""

@@ -1,4 +1,4 @@
-"""A function of arrays as one equation of JAX, inside of which the types of arrays say nothing of meshes."""
+"""A function of arrays as one equation of JAX, inside of which array types carry no mesh information."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Result = TypeVar("Result")
 
 @weakly_kept
 class ArrayProgram(Differentiable):
-    """A function of arrays that JAX runs, with JAX's derivatives.
+    """A function of arrays that JAX executes, with JAX's derivatives.
 
     Args:
         program: the function, of plain arrays.
@@ -115,7 +115,7 @@ Kernels: TypeAlias = "Callable[[int, str], Rows | None]"
 
 @weakly_kept
 class KernelOfArrays(ArrayProgram):
-    """A function of arrays, and kernels for it where there are some.
+    """A function of arrays, with kernels for it if there are any.
 
     Args:
         program: the function.
@@ -171,18 +171,18 @@ drops_dead_results(_batched_p, _dead_code)
 
 
 def is_array_program(eqn: Any) -> bool:
-    """Whether an equation of a jaxpr is a function that runs in parts."""
+    """Whether an equation of a jaxpr is a function that is executed in parts."""
     return eqn.primitive is _array_program_p
 
 
 def written_out(eqn: Any) -> ClosedJaxpr | None:
-    """The jaxpr of an equation that is a function of arrays, of one member; None for other equations."""
+    """The jaxpr of an equation that is a function of arrays, for one member; None for other equations."""
     is_function = eqn.primitive in (_array_program_p, _batched_p) and not eqn.params["batch"].depth
     return eqn.params["program"].program if is_function else None
 
 
 def on_any_mesh(function: Callable[..., Result], *arguments: Any) -> Result:
-    """function(*arguments), as one equation if the types of arrays have shardings over a mesh.
+    """The call function(*arguments), as one equation if the types of arrays have shardings over a mesh.
 
     Otherwise loops inside of the function would need these shardings too. It must not close over traced values.
     Arguments and result are pytrees of arrays.

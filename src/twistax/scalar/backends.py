@@ -1,5 +1,5 @@
-"""Backends, which run the functions of a system: JAX on arrays, XLA on scalars; `targets/llvm/backend.py` has machine
-code.
+"""Backends, which execute the functions of a system: JAX on arrays, XLA on scalars; `targets/llvm/backend.py` has
+native code.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ ANY_SIZE = 10**9
 
 @dataclasses.dataclass(frozen=True)
 class Emission:
-    """A function, and the reason why it runs as it does."""
+    """A function, and the reason for the form in which it is executed."""
 
     function: Callable[..., list[jax.Array]]  # pure and traceable
     program: ScalarProgram | None  # that it runs; None where it runs as arrays
@@ -62,7 +62,7 @@ class Emission:
 
 
 class StepCompiler:
-    """Compiles steps of loops, functions from arrays to arrays; this base class compiles none."""
+    """The interface for compiling steps of loops, functions from arrays to arrays; this base class compiles none."""
 
     def repeated(self, step: Step, shapes: Shapes, state: int, row: Step | None = None) -> Repeated | Looped | None:
         """A step that one kernel repeats; None: it runs in an ordinary loop.
@@ -101,7 +101,9 @@ class StepCompiler:
 
 
 class Backend(ABC):
-    """Turns a function of arrays into the function that runs. Hashable; equal backends give equal functions."""
+    """Converts a function of arrays to the function that is executed. Hashable; equal backends produce equal
+    functions.
+    """
 
     #: The least number of scalar operations of a call that runs as a kernel; None: no call does.
     least: int | None = None
@@ -150,7 +152,7 @@ class Backend(ABC):
 
 @dataclasses.dataclass(frozen=True)
 class JAX(Backend):
-    """Runs every function as written, as operations of JAX on small arrays."""
+    """Executes every function as written, by JAX operations on small arrays."""
 
     def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
         return Emission(as_arrays(closed), None, "arrays, as written")
@@ -158,22 +160,21 @@ class JAX(Backend):
 
 @dataclasses.dataclass(frozen=True)
 class XLA(Backend):
-    """Runs large functions as scalar programs without structural zeros and ones, compiled by XLA; others run as
-    arrays.
+    """Executes large functions as scalar programs without structural zeros and ones, compiled by XLA; others as arrays.
 
-    By default 0 x, 0 / x and x - x are zero, also where x is infinite or NaN; constants are folded; x / d and y / d
-    share 1 / d. Functions without a scalar form are called unchanged.
+    By default 0 x, 0 / x and x - x are zero, also if x is infinite or NaN; constants are folded; x / d and y / d share
+    1 / d. Functions without a scalar form are called unchanged.
 
     Attributes:
-        checked: keep 0 x, 0 / x and x - x, and every division.
-        least: functions with fewer scalar operations, without those on parameters alone, run as arrays, where XLA
-            performs the same simplifications.
-        largest: functions with more scalars run as arrays, because they would take long to compile.
-        widest: functions with an array of more entries run as arrays, which XLA vectorises. For
-            intermediate arrays this applies unless they are mostly zeros.
+        checked: whether to evaluate 0 x, 0 / x and x - x, and every division.
+        least: functions with fewer scalar operations, not counting those on parameters alone, are executed as arrays,
+            where XLA performs the same simplifications.
+        largest: functions with more scalars are executed as arrays, because they would take long to compile.
+        widest: functions with an array of more entries are executed as arrays, which XLA vectorises. For intermediate
+            arrays this applies unless they are mostly zeros.
 
     Raises:
-        ModelError: least, largest or widest is not a whole number from 0 on.
+        ModelError: least, largest or widest is not a whole number of 0 or more.
     """
 
     checked: bool = False
@@ -278,7 +279,7 @@ def pure(function: Step, shapes: Shapes) -> ClosedJaxpr | None:
 
 
 def is_pure(closed: ClosedJaxpr) -> bool:
-    """Whether a jaxpr has a good program: see `pure`."""
+    """Whether a jaxpr has a scalar program without side effects: see `pure`."""
     keys = any(map(is_key, [*closed.jaxpr.constvars, *variables(closed.jaxpr)]))
     if closed.effects or is_traced(closed.consts) or keys:
         return False
@@ -299,7 +300,7 @@ def array_operations(jaxpr: Any) -> Counter[str]:
 
 
 def operations_of(eqns: Sequence[Any]) -> Counter[str]:
-    """The same for some equations."""
+    """The number of scalar operations by name, for some equations."""
     counts: Counter[str] = Counter()
     for eqn in eqns:
         entry = entry_of(eqn)
@@ -324,7 +325,7 @@ _LEAST_PER_NUMBER = 2
 
 
 def outweighs_memory(jaxpr: Jaxpr) -> bool:
-    """Whether a function takes longer to compute than its arguments and results to read and write.
+    """Whether the computation of a function takes longer than reading its arguments and writing its results.
 
     Only then batches of it gain by a kernel: it reads rows of members, XLA's loops whole columns.
     """
@@ -336,7 +337,7 @@ def outweighs_memory(jaxpr: Jaxpr) -> bool:
 
 
 def wide_share(jaxpr: Jaxpr, widest: int) -> float:
-    """The share of the operations that are on arrays of more entries."""
+    """The fraction of operations on arrays with more entries."""
 
     def sizes(eqn: Any) -> list[int]:
         return [v.aval.size for v in (*eqn.invars, *eqn.outvars)]
@@ -351,15 +352,15 @@ def variables(jaxpr: Jaxpr) -> list[Any]:
 
 
 def as_arrays(closed: ClosedJaxpr) -> Callable[..., list[jax.Array]]:
-    """The function of a jaxpr as it is. Raises TooLarge where XLA would end the process on it."""
+    """The function of a jaxpr, unchanged. Raises TooLarge for functions on which XLA would crash."""
     depth: dict[Any, int] = {}
     for eqn in closed.jaxpr.eqns if len(closed.jaxpr.eqns) > _LONGEST_CHAIN else ():
         length = 1 + max((depth.get(v, 0) for v in eqn.invars if not isinstance(v, Literal)), default=0)
         depth.update(dict.fromkeys(eqn.outvars, length))
         if length > _LONGEST_CHAIN:
             raise TooLarge(
-                f"the function is a chain of more than {_LONGEST_CHAIN:,} array operations that wait for each other: "
-                "XLA ends the process on such functions.\n"
+                f"the function is a chain of more than {_LONGEST_CHAIN:,} dependent array operations, on "
+                "which XLA would crash.\n"
                 "  fix: write the repeated part as a node whose evaluate uses jax.lax.scan"
             )
     run = jaxpr_as_fun(closed)

@@ -146,7 +146,7 @@ def reached(program: ScalarProgram, seeds: Mapping[int, Mapping[int, int]]) -> d
 
 
 def needed(program: ScalarProgram, wanted: Mapping[int, int]) -> dict[int, int]:
-    """node -> the tangents that it must carry for some nodes to have those they want, as bits of a number."""
+    """node -> the tangents that it must propagate so that some nodes have the required ones, as a bit mask."""
     tangents_of = dict(wanted)
     for i in reversed(program.live):
         if tangents := tangents_of.get(i, 0):

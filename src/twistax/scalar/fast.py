@@ -146,17 +146,17 @@ def fast(
 ) -> Any:
     """A JAX function of pytrees of small arrays, compiled as scalars: `jax.jit` for small dense mathematics on the CPU.
 
-    XLA runs a function as a chain of operations on arrays, some 50 ns each, far more than the arithmetic of a 3x3
-    matrix takes. Here the function becomes one program of scalars without structural zeros and ones, and where llvmlite
-    is installed (`pip install "twistax[native]"`) a kernel for this processor, or for CUDA devices. `lax.scan`,
-    `fori_loop` and `while_loop` with a body of scalars become one kernel each, with all of their iterations. Batches of
-    `jax.vmap`, around the function or inside of it, and of `lax.map` run side by side in the processor's vectors, or in
-    the threads of a CUDA device. JAX executes functions without such a form (libraries, large arrays, effects, random
-    keys), and everything on other devices. `fast(f).explain(*arguments)` reports how each part runs. It warns once if
-    there is no speed-up.
+    XLA executes a function as a chain of operations on arrays with some 50 ns each, far more than the arithmetic of a
+    3x3 matrix takes. `fast` compiles the function to one program of scalars without structural zeros and ones and, if
+    llvmlite is installed (`pip install "twistax[native]"`), to a kernel for this processor, or for CUDA devices.
+    `lax.scan`, `fori_loop` and `while_loop` with a body of scalars become one kernel each, with all of their
+    iterations. Batches of `jax.vmap`, around the function or inside of it, and of `lax.map` run side by side in the
+    processor's vectors, or in the threads of a CUDA device. JAX executes functions without such a form (libraries,
+    large arrays, effects, random keys), and everything on other devices. `fast(f).explain(*arguments)` reports how each
+    part is executed. It warns once if there is no speed-up.
 
     Results have the units of the function. They equal those of the function up to round-off, except that 0 x, 0 / x and
-    x - x are zero also where x is infinite or NaN, unless the backend is `tx.Native(tx.XLA(checked=True))`.
+    x - x are zero also if x is infinite or NaN, unless the backend is `tx.Native(tx.XLA(checked=True))`.
 
     In single precision intermediate derivatives may overflow or underflow. `jax.jacfwd(fast(f))` and
     `jax.grad(fast(f))` differentiate the program in a form that avoids this. `fast(jax.jacfwd(f))` and
@@ -165,9 +165,9 @@ def fast(
     Args:
         function: a pure function of pytrees of arrays. If omitted, `fast` is a decorator with options.
         static_argnums, static_argnames: arguments that are not arrays, as in `jax.jit`; another value recompiles.
-        backend: the backend of the parts; "auto" is `tx.Native()` where llvmlite is installed, else `tx.XLA()`.
+        backend: the backend of the parts; "auto" is `tx.Native()` if llvmlite is installed, else `tx.XLA()`.
     Raises:
-        ModelError: the function cannot be called; another backend.
+        ModelError: the function is not callable; an invalid backend.
     """
     choice = chosen(backend, Native() if installed() else XLA())
     static = {"static_argnums": static_argnums, "static_argnames": static_argnames}
@@ -175,7 +175,8 @@ def fast(
     def made(function: Callable[P, R]) -> Fast[P, R]:
         if not callable(function):
             raise ModelError(
-                f"fast expects a function, got {type(function).__name__}: fast(function), or @fast above it"
+                f"fast expects a function, got {type(function).__name__}.\n"
+                "  fix: use fast(function), or the decorator @fast"
             )
         return Fast(function, choice, static)
 
@@ -183,7 +184,7 @@ def fast(
 
 
 def part_of_package(function: Callable[P, R], backend: Backend | Literal["auto"] = "auto") -> Fast[P, R]:
-    """`fast` for functions of this package: where nothing is gained its users can do nothing, so it does not warn."""
+    """`fast` for functions of this package, without warnings, because users could not act on them."""
     return Fast(function, chosen(backend, Native() if installed() else XLA()), {}, warns=False)
 
 
@@ -202,7 +203,7 @@ def closed_over(function: Callable[..., Any]) -> list[Any]:
 
 @contextlib.contextmanager
 def replaced(function: Callable[..., Any], by: Callable[[Any], Any]) -> Iterator[Callable[..., Any]]:
-    """The function with `by(value)` in place of each traced value, within a context: for one thread at a time."""
+    """The function with `by(value)` in place of each traced value, in a context that one thread at a time may enter."""
     with _LOCK, contextlib.ExitStack() as after:
         yield _changed(function, by, set(), after)
 

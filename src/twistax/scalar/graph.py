@@ -1,7 +1,7 @@
-"""A graph of scalars, in which equal nodes are one node, and operations with zeros and ones are removed.
+"""A graph of scalars, in which equal nodes are merged, and operations with zeros and ones are removed.
 
-A node is a number, the place of its entry in a list; an array is a NumPy array of such numbers. Arguments come before
-results, so that the list is in an order in which nodes can be computed.
+A node is a number, the index of its entry in a list; an array is a NumPy array of such numbers. Operands precede
+results, so the list is in an order in which nodes can be computed.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ LIMITS = Limits()
 
 
 class ScalarGraph:
-    """A growing graph of scalars.
+    """A graph of scalars that is being built.
 
     Args:
         dtype: the floating-point type of the program.
@@ -376,7 +376,7 @@ class ScalarGraph:
             if node >= self.largest:
                 raise TooLarge(
                     f"the function takes more than {self.largest} scalars, too many to unroll.\n"
-                    "  fix: compile with backend=tx.JAX(), and take its derivatives with jax.jacfwd"
+                    "  fix: compile with backend=tx.JAX(), and differentiate it with jax.jacfwd"
                 )
             self._known[key] = node
             self.nodes.append(key)

@@ -41,7 +41,7 @@ PLATFORMS = ("cpu", "cuda")
 
 
 class Runner(Protocol):
-    """Runs programs without XLA, for calls with enough operations."""
+    """The interface for executing programs without XLA, for calls with enough operations."""
 
     @property
     def least(self) -> int: ...
@@ -81,7 +81,7 @@ class Computed(ABC):
 
 
 class Differentiable(Computed):
-    """The function of an equation with its derivatives, each made when it is first needed.
+    """The function of an equation with its derivatives, each built when it is first needed.
 
     Attributes:
         origin: of one made by `tangent`: which one it is a derivative of, and along which arguments.
@@ -236,7 +236,7 @@ _ONE = Batch()
 
 
 def call_program(program: Differentiable, *arguments: Any, batch: Batch = _ONE) -> list[Any]:
-    """The results of a program, of one member or of many; differentiable and batched as any JAX function."""
+    """The results of a program, for one member or many; differentiable and batched as any JAX function."""
     # A loop compiled as one small function needs no further ones inside.
     inside = inside_small_call()
     return program.primitive(inside).bind(*varying_alike(arguments), program=program, batch=batch, inside=inside)
@@ -250,7 +250,7 @@ def _by_xla(*arguments: Any, program: Computed, batch: Batch, inside: bool, plat
 
 
 def by_kernel(*arguments: Any, program: Computed, batch: Batch, inside: bool, platform: str) -> list[jax.Array]:
-    """The kernel of a platform, where there is one."""
+    """The kernel for a platform, if there is one."""
     rows = math.prod(batch.shape(arguments))
     kernel = program.kernel(rows, platform) if rows else None
     if kernel is None:
@@ -316,7 +316,7 @@ class _KeepsAlive:
 
 
 def define(primitive: Primitive, run: Callable[..., list[jax.Array]], platforms: Sequence[str] = PLATFORMS) -> None:
-    """Register with JAX how an equation runs, alone or in a batch.
+    """Register with JAX the execution of an equation, alone or in a batch.
 
     Args:
         run: runs it on these platforms, and takes the platform as a keyword. On others the program's function runs.

@@ -1,4 +1,4 @@
-"""The cache of machine code on disk, a file for each kernel, which only this user may write."""
+"""The cache of machine code on disk, with a file for each kernel, which only this user may write."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def kept(key: str) -> bytes | None:
 
 
 def keep(key: str, code: bytes) -> None:
-    """Write machine code under a key, atomically, also where several processes do so at once."""
+    """Write machine code under a key, atomically, also with several concurrent processes."""
     folder = _folder()
     if folder is None:
         return
@@ -98,7 +98,7 @@ def _check_owner(status: os.stat_result, what: str) -> None:
     if status.st_uid != os.getuid():
         raise PermissionError(None, f"{what} belongs to another user")
     if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-        raise PermissionError(None, f"others may write to {what} (chmod go-w mends it)")
+        raise PermissionError(None, f"other users may write to {what} (fix: chmod go-w)")
 
 
 def _checksum(key: str, code: bytes) -> bytes:

@@ -33,7 +33,7 @@ class _Unrolled(Segmented):
 
 
 class KernelFunction(Generic[R]):
-    """A pure function of pytrees of arrays as one kernel, alone and in batches, however wide its arrays.
+    """A pure function of pytrees of arrays as one kernel, alone and in batches, for arrays of any size.
 
     It is traced once for each structure and type of its arguments, and then not again, whatever it is part of. Where
     it has no scalar form JAX runs it, and where they have none its derivatives.

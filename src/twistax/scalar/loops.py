@@ -143,7 +143,7 @@ def _filled(row: Row) -> Callable[[jax.Array, Filling, Any], _Filled]:
 
 
 def decides(further: Sequence[Any]) -> bool:
-    """Whether the results of a step after its state begin with whether another iteration follows, from their types."""
+    """Whether the results of a step, after its state, begin with a flag for another iteration, from their types."""
     return len(further) > 0 and further[0] == np.dtype(bool)
 
 
@@ -246,7 +246,7 @@ class Repeated(_Rolled):
 
 @dataclasses.dataclass(frozen=True)
 class Ring:
-    """Which results of an iteration are which arguments of the next.
+    """The map from results of an iteration to arguments of the next one.
 
     An iteration of a scan takes (*fixed, *state, *rows) and returns (*state, *rows), with rows of longer arrays. One of
     a `while_loop` takes (*fixed, *state) and returns (going, *state); where it is not going, the loop ends with the
@@ -292,7 +292,7 @@ def repeat(
     state: Sequence[jax.Array],
     rows: Filling | None = None,
 ) -> tuple[list[jax.Array], jax.Array, Filling | None]:
-    """state = step(k, fixed, state) for k = first, ..., stop - 1.
+    """The loop state = step(k, fixed, state) for k = first, ..., stop - 1.
 
     A step with the result `more` may end the loop early. Other loops end where the new state is not finite, with the
     state before. Traceable, batched by vmap, not differentiable.

@@ -1,4 +1,4 @@
-"""A scalar program, a function of arrays as a graph of scalars; and the batch axes of arguments."""
+"""Scalar programs, functions of arrays as graphs of scalars; and the batch axes of arguments."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Jaxprs read into a graph of scalars, every equation on arrays of nodes; and programs rewritten in another graph."""
+"""Reading of jaxprs into a graph of scalars, every equation on arrays of nodes; and rewriting of programs in another
+graph.
+"""
 
 from __future__ import annotations
 
@@ -252,7 +254,7 @@ def scalarize(
     largest: int = 200_000,
     limits: Limits = LIMITS,
 ) -> ScalarProgram:
-    """A function of arrays, results a list of arrays, as a scalar program.
+    """A function of arrays whose results are a list of arrays, as a scalar program.
 
     Args:
         function: traceable; or its jaxpr.
@@ -302,7 +304,8 @@ def emitted_form(program: ScalarProgram, limits: Limits = LIMITS) -> ScalarProgr
 def one_by_one(
     program: ScalarProgram, first: Iterable[int] = (), substitutes: Mapping[int, Nodes] | None = None
 ) -> ScalarProgram:
-    """The program in another order: result by result, each with the nodes that it needs in addition.
+    """The program in the form for code writers: calls that are functions of scalars are unrolled, and x / d, y / d, ...
+    become products with a shared 1 / d, unless the program is checked.
 
     In the original order derivatives along many tangents are interleaved. In this one fewer numbers are live at a time,
     and pieces of the program share fewer.
@@ -323,7 +326,7 @@ def rebuilt(
     order: Sequence[int] | None = None,
     substitutes: Mapping[int, Nodes] | None = None,
 ) -> ScalarProgram:
-    """The program in a new graph.
+    """The program in another order: result by result, each with the additional nodes that it needs.
 
     Args:
         shared: divisors of which the reciprocal is taken once.
@@ -350,7 +353,7 @@ def rebuilt(
 
 
 def computed_before(program: ScalarProgram, argument: int) -> tuple[ScalarProgram, ScalarProgram]:
-    """What depends on one argument alone as a program, and the program that takes its results in that argument's place.
+    """The program in a new graph.
 
     Quotients by such numbers become products with their inverses.
 

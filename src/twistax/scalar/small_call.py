@@ -1,10 +1,10 @@
-"""A function compiled by XLA as one small function, in which loops run fast under default settings.
+"""Functions that XLA compiles as one small function, in which loops run fast under default settings.
 
 XLA on the CPU runs a loop as a chain of small kernels, some 50 ns each, unless the loop is compiled as one function.
-The attribute that asks for it is not documented, so it is set only on the CPU, for functions made of operations known
-to compile that way, on arrays of at most thousands of entries, and with every argument in use. On other platforms, and
-under vmap, the function runs as it is, with the same result.
-`tests/internals/test_small_call.py` notices if the attribute loses its effect.
+The XLA attribute that requests it is not documented, so it is set only on the CPU, for functions made of operations
+known to compile that way, on arrays of at most thousands of entries, and with every argument in use. On other
+platforms, and under vmap, the function is executed unchanged, with the same result. If the XLA attribute loses its
+effect, `tests/internals/test_small_call.py` fails.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def no_small_call() -> contextlib.AbstractContextManager[None]:
 
 
 def stored_once(tree: Tree) -> Tree:
-    """The same numbers, computed once: inside a small function XLA computes scalars again wherever they are read.
+    """The same numbers, computed once: inside a small function XLA would recompute scalars at each use.
 
     They are packed into one array behind a barrier. Integers are small enough to be floating-point numbers in it.
     """
@@ -94,7 +94,7 @@ def fits(function: Callable[..., Any], *arguments: Any) -> bool:
 
 
 def small_call(function: Callable[..., Result], *arguments: Any, trusted: bool = False) -> Result:
-    """function(*arguments), compiled as one small function where that is known to work.
+    """The call function(*arguments), compiled as one small function if this is supported.
 
     Where it is not, small calls that the function makes itself may still be; inside of one that works they are part of
     it. Pure and traceable. Arguments and result are pytrees of arrays.
@@ -174,7 +174,7 @@ def _outlined(run: Callable[..., list[jax.Array]]) -> Callable[..., list[jax.Arr
 
 
 def known_inside(jaxpr: Any) -> bool:
-    """Whether every operation, also inside of loops and branches, is one that compiles inside a function.
+    """Whether every operation, also inside of loops and branches, is known to compile inside a small function.
 
     Anything that calls a library (solvers, FFI, callbacks) is not. Random keys are no numbers.
     """

@@ -1,4 +1,4 @@
-"""Functions whose results have many entries that are always the same: a kernel computes the others."""
+"""Functions whose results have many constant entries: a kernel computes only the others."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Traversal of a graph, operands first and without recursion; and a context in which Python collects no garbage."""
+"""Traversal of a graph, operands first and without recursion; and a context without garbage collection."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Physical cases: what they are made of, and for those in `SCENES` the true answer.
+"""Physical test cases: their systems and initial states, and for those in `SCENES` the exact solutions.
 
-Importing builds nothing: a scene's system is made and compiled when it is first read.
+Importing builds nothing: the system of a scene is built and compiled when it is first read.
 """
 
 from .check_cases import TUMBLING_BRICK

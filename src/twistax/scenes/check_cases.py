@@ -4,7 +4,7 @@ Frames: Earth-centred inertial, z along the Earth's axis, x through longitude 0 
 The state g maps body to inertial coordinates. All cases start 9144 m (30,000 ft) above the WGS 84 ellipsoid at latitude
 0 and longitude 0, at rest relative to the Earth, body axes north, east and down. SI units, rad.
 
-The three cases are one system with three sets of numbers.
+The three cases are one system with three sets of parameters.
 
 Source of starts, bodies, forces and published values: Murri, Jackson and Shelton, Check-Cases for Verification of
 6-Degree-of-Freedom Flight Vehicle Simulations, NASA/TM-2015-218675, and the trajectories that come with it.
@@ -35,7 +35,7 @@ SLUG_FOOT2 = 1.3558179483314  # kg m2
 
 @dataclasses.dataclass(frozen=True)
 class RateDamping:
-    """Aerodynamic moments that damp the rates: -1/4 rho U S (b^2 p, c^2 q, b^2 r), U the speed through the air."""
+    """Aerodynamic moments that damp the angular rates: -1/4 rho U S (b^2 p, c^2 q, b^2 r), with the airspeed U."""
 
     area: float  # S, m2
     span: float  # b, m
@@ -52,7 +52,7 @@ class RateDamping:
 
 @dataclasses.dataclass(frozen=True)
 class Published:
-    """The end of a published simulation, at 30 s."""
+    """The final values of a published simulation, at 30 s."""
 
     simulation: str  # its number in the report
     rate: Vector  # of the body with respect to inertial axes, rad/s
@@ -89,7 +89,8 @@ class CheckCase:
 
 
 def system(planet: flight.Planet = EARTH, damped: bool = True) -> tx.System:
-    """Newton-Euler under gravity, and damping moments if damped: the states, and the outputs, of `flight.Vehicle`.
+    """Newton-Euler equations under gravity, optionally with damping moments: the states, and the outputs, of
+    `flight.Vehicle`.
 
     Parameters: mass, kg; inertia, principal moments (3,), kg m2; and if damped, damping, `RateDamping.coefficients`
     (3,), m4, and frame_rate, rad/s.

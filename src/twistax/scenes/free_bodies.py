@@ -1,4 +1,4 @@
-"""Free rigid bodies: the Euler top, a symmetric body that wobbles, and one that spins 160 times a second.
+"""Free rigid bodies: the Euler top, a symmetric body in nutation, and one that spins 160 times per second.
 
 Attitude R on SO(3), body to world, and angular velocity w in body axes.
 """

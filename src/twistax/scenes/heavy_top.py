@@ -1,4 +1,4 @@
-"""The Lagrange top: a symmetric body that turns about a fixed point on its axis, under gravity."""
+"""The Lagrange top: a symmetric body that rotates about a fixed point on its axis, under gravity."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Satellites about an oblate Earth: one that the gravity gradient turns, one that spins for its stability."""
+"""Satellites around an oblate Earth: one stabilised by the gravity gradient, and one by its spin."""
 
 import dataclasses
 import functools

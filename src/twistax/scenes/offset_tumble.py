@@ -1,4 +1,4 @@
-"""A free body whose frame does not sit at its centre of mass: translation and rotation couple through M (6, 6)."""
+"""A free body whose frame is not at its centre of mass: translation and rotation are coupled by M (6, 6)."""
 
 from typing import Any
 

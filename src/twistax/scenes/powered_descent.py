@@ -1,8 +1,8 @@
-"""Powered descent of a rocket stage, six degrees of freedom, written against the public API.
+"""Powered descent of a rocket stage with six degrees of freedom, written with the public API.
 
-World frame: z up, origin on the pad. Body frame: at the centre of mass, z towards the nose. SI units, rad.
-The stage is a rigid body that loses mass through its engine; air is left out. The moments of inertia are held constant,
-and the centre of mass does not move in the body.
+World frame: z up, origin on the pad. Body frame: at the centre of mass, z towards the nose. SI units, rad. The stage is
+a rigid body that loses mass through its engine; the atmosphere is neglected. The moments of inertia are constant, and
+the centre of mass does not move in the body.
 """
 
 import dataclasses
@@ -133,7 +133,7 @@ def system(vehicle: Lander | None = None) -> tx.System:
 
 
 def limits(vehicle: Lander | None = None) -> list[Limit]:
-    """Every limit of the flight in the units people use."""
+    """Every limit of the flight in customary units."""
     v = vehicle or Lander()
     degrees = float(np.rad2deg(1.0))
     return [
@@ -156,7 +156,7 @@ def initial(start: Start, vehicle: Lander) -> dict[str, Any]:
 
 
 def guess(start: Start, vehicle: Lander, nodes: int, final_time: float) -> dict[str, Any]:
-    """A straight line to the pad at falling speed, turning upright evenly, at 60 % of full thrust."""
+    """A guess: a straight line to the pad with constant speed and attitude rate, at 60 % of full thrust."""
     share = np.linspace(1.0, 0.0, nodes)
     poses = _poses(start, share)
     linear = np.einsum("kji,kj->ki", poses[:, :3, :3], share[:, None] * np.array(start.velocity))
@@ -185,7 +185,7 @@ def _pose(position: jax.Array, turn: jax.Array) -> jax.Array:
 def problem(
     dynamics: Any, start: Start | None = None, vehicle: Lander | None = None, *, nodes: int = 25, **options: Any
 ) -> tx.trajectory.Problem:
-    """Land on the pad, upright and at rest, with as much mass left as possible. The heading is free.
+    """Land on the pad, upright and at rest, with the largest possible remaining mass. The heading is free.
 
     Args:
         dynamics: `tx.compile(system(vehicle))`.

@@ -1,8 +1,7 @@
-"""The trajectories that come with NASA/TM-2015-218675, read in SI, and the difference of two.
+"""The trajectories of NASA/TM-2015-218675, read in SI units, and the difference of two trajectories.
 
-The files are not part of this package: whoever has them names their folder. They lie there as
-<folder of the case>/sim_<number>.csv or sim_<number>_si.csv. Columns are named quantity_unit or
-quantity_unit_component.
+The files are not part of this package; users pass their folder. Their paths are <folder of the case>/sim_<number>.csv
+or sim_<number>_si.csv. Columns are named quantity_unit or quantity_unit_component.
 """
 
 from __future__ import annotations
@@ -89,7 +88,7 @@ def _fixed_positions(figure: earth.Ellipsoid) -> Callable[..., Array]:
 
 
 class PublishedTable:
-    """A published trajectory at TIMES; rows between them are left out. Raises InputError for a file of another form."""
+    """A published trajectory at TIMES; rows in between are omitted. Raises InputError for a file of another form."""
 
     def __init__(self, path: Path, figure: earth.Ellipsoid = earth.WGS84) -> None:
         with path.open(newline="") as file:
@@ -98,11 +97,15 @@ class PublishedTable:
         try:
             self.values = np.array(rows, dtype=float)
         except ValueError as error:
-            raise tx.InputError(f"{path}: expected as many numbers in each row as there are columns: {error}") from None
+            raise tx.InputError(
+                f"{path}: expected the same number of entries in each row as there are columns: {error}"
+            ) from None
         skip = max(1, (len(self.values) - 1) // (len(TIMES) - 1))
         self.values = self.values[::skip]
         if self.values.shape[0] != len(TIMES) or not np.allclose(self["time"], TIMES, rtol=0.0, atol=1e-6):
-            raise tx.InputError(f"{path}: expected {len(TIMES)} rows from 0 to {DURATION:g} s, or a multiple")
+            raise tx.InputError(
+                f"{path}: expected {len(TIMES)} rows from 0 to {DURATION:g} s, or a multiple of this number"
+            )
 
     def __getitem__(self, name: str) -> Array:
         if name not in self.names:
@@ -154,11 +157,11 @@ class PublishedTable:
 
 
 def read(directory: Path, number: int, figure: earth.Ellipsoid = earth.WGS84) -> dict[str, Track]:
-    """The published simulations of a case, by number. Raises InputError where there are none."""
+    """The published simulations of a case, by number. Raises InputError if there are none."""
     folder = directory / FOLDERS[number]
     files = {file.stem.split("_")[1]: file for file in sorted(folder.glob("sim_*.csv"), reverse=True)}
     if not files:
         raise tx.InputError(
-            f"case {number}: no file sim_<number>.csv in {folder}\n  fix: name the folder that has {folder.name}"
+            f"case {number}: no file sim_<number>.csv in {folder}\n  fix: pass the folder that contains {folder.name}"
         )
     return {name: PublishedTable(file, figure).track() for name, file in sorted(files.items())}

@@ -1,4 +1,4 @@
-"""A rocket that burns its mass away: thrust that falls and swings, drag and damping."""
+"""A rocket that burns its propellant: decreasing and gimballed thrust, drag and damping."""
 
 import numpy as np
 

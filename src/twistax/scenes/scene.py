@@ -26,7 +26,7 @@ _ENDS: dict[str, dict[str, Any]] = json.loads(Path(__file__).with_name("ends.jso
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Scene:
-    """A system, a start, and the true state at the end. Units are SI and rad.
+    """A system, an initial state, and the exact state at the end. Units are SI and rad.
 
     Nothing is built before it is needed: `system`, `dynamics` and `end` are found once, when first read.
 
@@ -127,12 +127,13 @@ class Scene:
         for state in self.system.states:
             if state.name not in x:
                 names = ", ".join(x) or "none"
-                raise tx.InputError(f"scene {self.name!r}: state {state.name!r} is missing; given: {names}")
+                raise tx.InputError(f"scene {self.name!r}: state {state.name!r} is missing; the states are: {names}")
             wanted, value = np.asarray(truth[state.name], float), np.asarray(x[state.name], float)
             if value.shape != wanted.shape:
                 raise tx.InputError(
                     f"scene {self.name!r}: state {state.name!r} expects shape {wanted.shape}, got {value.shape}.\n"
-                    "  fix: give one state; a solution's end is {name: value[-1] for name, value in sol.xs.items()}"
+                    "  fix: pass one state; the final state of a solution is {name: value[-1] for name, "
+                    "value in sol.xs.items()}"
                 )
             with np.errstate(invalid="ignore", over="ignore"):
                 if state.group == tx.SO3:
@@ -148,7 +149,7 @@ class Scene:
 
 
 def said(name: str, **parameters: Any) -> dict[str, Any]:
-    """Name, title, summary and source of a scene of this package, from `scenes.toml`, with parameters in place."""
+    """Name, title, summary and source of a scene of this package, from `scenes.toml`, with parameters inserted."""
     texts = {kind: " ".join(text.split()).format(**parameters) for kind, text in _TEXTS[name].items()}
     return {"name": name, **texts}
 
@@ -169,7 +170,8 @@ def _frozen(values: State | None) -> State | None:
 
 
 def newton_euler(M: Any, V: tx.Expr, wrench: tx.Expr) -> tx.Expr:
-    """V' (6,) of a body with the diagonal inertia M (6,) about its centre of mass: M V' = wrench - ad*_V(M V).
+    """The acceleration V' (6,) of a body with the diagonal inertia M (6,) about its centre of mass: M V' = wrench -
+    ad*_V(M V).
 
     ad*_V(M V) holds the moment v x m v. It is zero, but its round-off is not, at 500 m/s beside a small inertia. The
     twist [0; w] in the place of V gives the same without it.

@@ -1,11 +1,12 @@
 """Check-cases 4 to 10 of NASA/TM-2015-218675: a sphere with drag over a round and an oblate Earth, in winds.
 
-The sphere has 1 slug, 3.6 slug ft2 about each axis, a drag coefficient of 0.1 and an area of 0.1963495 ft2. Cases 4 to
-8 drop it at 30,000 ft over latitude 0 and longitude 0; 9 and 10 fire it there from the ground.
+The sphere has a mass of 1 slug, an inertia of 3.6 slug ft2 about each axis, a drag coefficient of 0.1 and an area of
+0.1963495 ft2. In cases 4 to 8 it is dropped at 30,000 ft over latitude 0 and longitude 0; in 9 and 10 it is fired there
+from the ground.
 
-The report's spreadsheet has two radii that the trajectories do not: 20902255.199 ft of the round Earth are
-6371007.38 m, where the simulations use 6371007.1809 m; 20925646.995 ft at the equator are 6378137.20 m, where WGS84
-has 6378137 m.
+Two radii in the report's spreadsheet differ from those of the trajectories: 20902255.199 ft of the round Earth are
+6371007.38 m, where the simulations use 6371007.1809 m; 20925646.995 ft at the equator are 6378137.20 m, where WGS84 has
+6378137 m.
 
 Source: Murri, Jackson and Shelton, Check-Cases for Verification of 6-Degree-of-Freedom Flight Vehicle Simulations,
 NASA/TM-2015-218675 (2015), and the trajectories that come with it.

@@ -1,4 +1,4 @@
-"""Bodies in a row, neighbours tied by springs between points beside their centres of mass."""
+"""Bodies in a row, with neighbours connected by springs between points off their centres of mass."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def _at(g: tx.State, point: Array, force: tx.Expr) -> tx.Expr:
 
 
 def start(count: int = 4) -> dict[str, Array]:
-    """Bodies 1.6 m apart along x, each turned further about z than the one before, with different twists."""
+    """Bodies 1.6 m apart along x, each rotated further about z than the previous one, with different twists."""
     states = {}
     for i in range(count):
         states[f"g{i + 1}"] = placed(about((0.0, 0.0, 1.0), 0.3 * i), [1.6 * i, 0.1 * (-1.0) ** i, 0.0])
@@ -75,7 +75,7 @@ def start(count: int = 4) -> dict[str, Array]:
 
 
 def scene(count: int = 4) -> Scene:
-    """The scene with so many bodies. The true end is known for four."""
+    """The scene with this number of bodies. The exact final state is known for four."""
     return Scene(
         **said("spring-bodies", count=count),
         build=functools.partial(system, count),

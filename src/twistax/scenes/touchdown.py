@@ -1,4 +1,4 @@
-"""The quality of a landing whose controls are replayed: errors at the pad, and margins of the limits."""
+"""The quality of a landing whose controls are replayed: errors at the pad, and margins to the limits."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Descent:
 
 
 def replayed(result: Any, method: Any) -> Descent:
-    """The controls of a `TrajectoryResult` replayed from the start, each held over its interval. See its `replay`.
+    """The controls of a `TrajectoryResult` replayed from the start, each constant over its interval. See its `replay`.
 
     Raises:
         IntegrationError: the descent did not reach its end.
@@ -57,7 +57,9 @@ def replayed(result: Any, method: Any) -> Descent:
 
 
 def planned(result: Any) -> Descent:
-    """The nodes of a `TrajectoryResult`, each with the control held from it on, the last with the one held until it."""
+    """The nodes of a `TrajectoryResult`, each with the control of the next interval, the last one with that of the
+    previous interval.
+    """
     us = {name: np.concatenate([values, values[-1:]]) for name, values in result.us.items()}
     return _with_outputs(result, result.ts, result.xs, us)
 
@@ -75,7 +77,7 @@ def _outputs(dynamics: Any) -> Callable[..., Any]:
 
 @dataclasses.dataclass(frozen=True)
 class Miss:
-    """The error at the end of a descent: from rest on the pad, upright; the heading is free."""
+    """The error at the end of a descent with respect to rest on the pad, upright; the heading is free."""
 
     position: float  # m, in any direction
     velocity: float  # m/s, in any direction

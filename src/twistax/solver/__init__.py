@@ -1,5 +1,5 @@
-"""An interior-point solver for problems in stages and a dense quadratic program, in C, and both from Python. They know
-no bodies."""
+"""An interior-point solver for multi-stage problems and a solver for dense quadratic programs, in C, with Python
+interfaces. They are independent of bodies and mechanisms."""
 
 from .core import CoreSolution, CoreStatus, StageFunctions, Units, solve
 from .options import QP_SOURCES, SOURCES, Options, QPOptions

@@ -1,10 +1,10 @@
-"""The interior-point core from Python: a problem in stages, its functions, and what a solve returns.
+"""The interior-point core from Python: a multi-stage problem, its functions, and the result of a solve.
 
     minimise    sum_k l_k(x_k, u_k, p)
     subject to  x_(k+1) = f_k(x_k, u_k, p),   h_k(x_k, u_k, p) <= 0,   e_k(x_k, u_k, p) = 0,   lower <= v <= upper
 
 with v = (x_0, u_0, ..., x_N, u_N, p). States may lie on a manifold: then a node has a point, `retract` moves it along a
-tangent step, and defects are logarithms about the node where an interval ends.
+tangent step, and defects are logarithms about the node at the end of an interval.
 Source: A. Waechter, L. T. Biegler, On the implementation of an interior-point filter line-search algorithm for
 large-scale nonlinear programming, Mathematical Programming 106 (2006).
 """
@@ -46,7 +46,7 @@ _BAD_PROBLEM = 7
 
 @dataclasses.dataclass(frozen=True)
 class StageFunctions:
-    """Addresses of the functions of all stages, as `twx_problem` in core.h declares them.
+    """Addresses of the functions of all stages, in the layout of `twx_problem` in core.h.
 
     Attributes:
         values, jacobians, hessians, retract, transport, stop: addresses; 0 where there is no such function.
@@ -79,7 +79,7 @@ class StageFunctions:
 
 
 class Units(NamedTuple):
-    """Units of v, of the rows h and e, and of the cost, in which the core computes; 1 if None."""
+    """Units of v, of the rows h and e, and of the cost, in which the core computes; None means 1."""
 
     size: Array | None = None
     row_size: Array | None = None
@@ -89,7 +89,7 @@ class Units(NamedTuple):
 
 @dataclasses.dataclass
 class CoreSolution:
-    """A result, in the problem's units, and the start of a warm solve.
+    """A result, in the problem's units, and the data for a warm start.
 
     Attributes:
         status: how the solve ended.
@@ -264,8 +264,7 @@ def solve(
     if status == _BAD_PROBLEM:
         raise TrajectoryError(
             "solve: bounds expect lower <= upper, and units positive numbers; "
-            "bounds may be equal for x_0, controls and parameters alone\n"
-            "  fix: fix a state after the first by an equality"
+            "bounds may be equal only for x_0, controls and parameters\n  fix: fix a later state by an equality"
         )
     numbers = {name: getattr(statistics, name) for name in (*MEASURES, *COUNTS[1:])}
     return CoreSolution(status=CoreStatus(status), **arrays, statistics=numbers, log=log[: statistics.iterations])

@@ -34,7 +34,7 @@ from ..system.jacobian import Differentiated, RateJacobian
 
 
 class Argument(enum.IntEnum):
-    """The arguments of a kernel, as `twx_argument` in transcription.h has them."""
+    """The arguments of a kernel, in the layout of `twx_argument` in transcription.h."""
 
     Z = 0
     SHARE = 1
@@ -72,7 +72,7 @@ class ScalarForm(NamedTuple):
 
 
 class BatchKernel:
-    """A function of vectors, one row of each argument for a row of the result, as the core calls it.
+    """A function of vectors in the form that the core calls: one row of each argument for a row of the result.
 
     Args:
         numbers: those of `Argument.NUMBERS`, which stay.
@@ -203,7 +203,7 @@ class Callback:
 
 
 class SmoothKernels:
-    """A vector function of vectors with its derivatives by the first of them, as kernels.
+    """A vector function of vectors, with its derivatives with respect to the first of them, as kernels.
 
     Args:
         function: takes the arguments in their order, then numbers where it has some, and gives a vector; pure.

@@ -1,6 +1,4 @@
-"""The functions of the core in memory, compiled from its text once for each processor; the kernel cache stores the
-result.
-"""
+"""The functions of the core in memory, compiled once for each processor; the kernel cache stores the result."""
 
 from __future__ import annotations
 
@@ -36,7 +34,7 @@ _TRANSCRIBED = ("values", "jacobians", "hessians", "retract")
 
 
 class Library:
-    """The core's functions for ctypes. They release Python's lock, so that threads solve in parallel.
+    """The core's functions for ctypes. They release Python's global lock, so that threads solve in parallel.
 
     Attributes:
         workspace_size: doubles that a problem needs.
@@ -81,7 +79,7 @@ class Library:
 
 @functools.cache
 def library() -> Library:
-    """The core for this processor.
+    """The core, compiled for this processor.
 
     Raises:
         ModelError: llvmlite is not installed.

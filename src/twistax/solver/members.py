@@ -1,4 +1,4 @@
-"""Many problems of one form at once: solves, and derivatives of solutions, as NumPy calls or in XLA programs."""
+"""Batches of problems of one form: solves, and derivatives of solutions, as NumPy calls or in XLA programs."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ class _Form:
 
 
 class Solves(_Form):
-    """Solves of problems that differ in numbers of kernels, starts and bounds.
+    """Solves of problems that differ in numeric arguments of kernels, starts and bounds.
 
     A row has the numbers of kernels, z, v, and both bounds of v. A result has the arrays of `core.Solution` in its
     order, then `MEASURES`.
@@ -158,7 +158,7 @@ class Solves(_Form):
 
 
 class Moves(_Form):
-    """Moves of solutions for right sides of their first-order conditions, see linearised.c.
+    """Changes of solutions for right-hand sides of their first-order conditions, see linearised.c.
 
     A side, and a move, has v, lam, y, ye and the cost. Entries of v that are fixed move by what a side has for
     them; the others, and the multipliers, so that the conditions leave what the side has.

@@ -1,4 +1,4 @@
-"""Options of the solvers, read from the lists that their C sources are made of."""
+"""Options of the solvers, read from the lists that are also part of their C sources."""
 
 from __future__ import annotations
 

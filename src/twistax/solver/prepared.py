@@ -1,4 +1,4 @@
-"""A solve whose memory is laid out once and that is called often: a call writes numbers in place and enters C."""
+"""A solve whose memory is allocated once and that is called often: a call writes numbers in place and calls C."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ LOST = {CoreStatus.NON_FINITE, CoreStatus.UNBOUNDED_CURVATURE, CoreStatus.UNBOUN
 
 
 class PreparedSolve:
-    """Warm solves of a transcribed problem from the point that the last one ended at.
+    """Warm-started solves of a transcribed problem, each from the final point of the previous one.
 
     Attributes:
         z, v, s, lam, y, ye, zl, zu: the iterate, as `core.CoreSolution` has it; callers write in place.

@@ -1,9 +1,9 @@
-"""The dense quadratic program from Python: its arguments, and what a solve returns.
+"""The solver for dense quadratic programs from Python: its arguments, and the result of a solve.
 
     minimise    1/2 x'H x + g'x
     subject to  A x = b,   row_lower <= C x <= row_upper,   lower <= x <= upper
 
-The C sources, `qp.h` first, say how it is solved.
+The C sources describe the method, beginning with `qp.h`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from .options import QPOptions
 
 
 class QPStatus(enum.Enum):
-    """How a solve ended; the values are those of `twx_qp_status` in qp.h."""
+    """The status of a solve; the values are those of `twx_qp_status` in qp.h."""
 
     SOLVED = 0
     MAX_ITERATIONS = 1
@@ -39,7 +39,7 @@ _BAD_PROBLEM = 6
 
 @dataclasses.dataclass(frozen=True)
 class QPSolution:
-    """A result, and the start of a warm solve.
+    """A result, and the data for a warm start.
 
     Multipliers satisfy `H x + g + A'y + C'z + w = 0`: positive at upper bounds, negative at lower bounds, else 0.
     Where a status is not SOLVED, these arrays are

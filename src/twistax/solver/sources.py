@@ -69,7 +69,8 @@ _IN_PYTHON = ("options", "members", "handler", "cholesky", "squares", "squares_h
 
 
 def controller_core(**sizes: int) -> str:
-    """The part of the core that solves transcribed problems, as one C99 file without external names but `twx_` ones.
+    """The part of the core that solves transcribed problems, as one C99 file whose only external names begin with
+    `twx_`.
 
     Args:
         sizes: constants of the file, so that loops over them are unrolled: `states`, `controls` and `parameters` of an
@@ -90,7 +91,7 @@ def controller_core(**sizes: int) -> str:
 
 
 def squares_core() -> str:
-    """The part of the core that solves dense least squares within constraints, as one C99 file."""
+    """The part of the core that solves dense constrained least-squares problems, as one C99 file."""
     inner = ("dense.h", "qp_work.h")
     headers = ["qp.h", "squares.h"]
     # Inline, so that a function which is not called is no warning.
@@ -101,7 +102,7 @@ def squares_core() -> str:
 
 
 def fingerprint() -> str:
-    """A checksum of the amalgamation, which the compiled text names."""
+    """A checksum of the amalgamation, which the compiled text contains."""
     return hashlib.sha256(amalgamation().encode()).hexdigest()
 
 

@@ -1,4 +1,4 @@
-"""Weighted least squares within linear constraints, in programs of JAX: the dense quadratic program of `qp.py`.
+"""Weighted least squares with linear constraints, in JAX programs, by the dense quadratic program of `qp.py`.
 
 minimise    sum_i w_i (J_i x - r_i)^2 / 2 + damping |x|^2 / 2
 subject to  A x = b,   row_lower <= C x <= row_upper,   lower <= x <= upper

@@ -1,4 +1,4 @@
-"""Sizes of a problem in stages, and where its parts lie in flat arrays."""
+"""Sizes of a multi-stage problem, and the positions of its parts in flat arrays."""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
-"""The core as LLVM's intermediate language: C that a clang has optimised once, for every processor and platform.
+"""The core in LLVM's intermediate language, compiled from C and optimised once by clang, for all processors and
+platforms.
 
-    python -m twistax.solver.text        write core.ll.xz anew
+    python -m twistax.solver.text        write core.ll.xz again
 
 At run time llvmlite only generates machine code from it. The clang is that of the package `ziglang`, in the version
 that `VERSION` names: LLVM reads text of its own version and of older ones, so that of a newer clang might be refused.

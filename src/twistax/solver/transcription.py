@@ -148,7 +148,7 @@ _SIGNATURES = {
 
 
 class Transcription:
-    """Phases as the functions of a problem in stages.
+    """Phases as the functions of a multi-stage problem.
 
     Args:
         phases: what is transcribed, one after the other.

@@ -1,4 +1,4 @@
-"""Systems, and what `tx.compile` makes of them: calls, Jacobians, Hessians, explanations, files, other languages."""
+"""Systems, and their compiled form: calls, Jacobians, Hessians, explanations, files, other languages."""
 
 from .finite import need_finite
 from .system import System, entry_names, free_name, name_of

@@ -1,4 +1,4 @@
-"""The part of `System` that `tx.join` needs: leaves by name, outputs as expressions, copies with other names."""
+"""The part of `System` for composition by `tx.join`: leaves by name, outputs as expressions, renamed copies."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..expr.operations.soft import Soft
 
 
 class Composable:
-    """A base of `System`."""
+    """A base class of `System`."""
 
     states: tuple[State, ...]
     controls: tuple[Control, ...]
@@ -20,21 +20,21 @@ class Composable:
     outputs: dict[str, Expr]
 
     def __getattr__(self, name: str) -> Any:
-        """The state, control or parameter of a name: `system.thrust` of a control "thrust"."""
+        """The state, control or parameter with a name: `system.thrust` is the control "thrust"."""
         if not name.startswith("_"):
             leaves = named_leaves(self)
             if name in leaves:
                 return leaves[name]
             raise AttributeError(
-                f"{self!r} has no {name!r}; it has the leaves {listed(leaves, name)}", name=name, obj=self
+                f"{self!r} has no {name!r}; its leaves are {listed(leaves, name)}", name=name, obj=self
             )
         raise AttributeError(name, name=name, obj=self)
 
     def output(self, name: str) -> Expr:
-        """The expression of an output, for connections by `tx.join`.
+        """The expression of an output, for a connection by `tx.join`.
 
         Raises:
-            ModelError: no output of that name.
+            ModelError: no output has that name.
         """
         if name not in self.outputs:
             raise ModelError(
@@ -51,7 +51,7 @@ class Composable:
 
         Args:
             prefix: the prefix of all names.
-            keep: names of controls and parameters that are unchanged, such as that of gravity, and so are shared.
+            keep: names of controls and parameters that are not renamed, such as that of gravity, and so are shared.
         Raises:
             ModelError: an empty prefix, or a name in `keep` that is not a control or parameter.
 
@@ -79,7 +79,7 @@ def named_leaves(system: Any) -> dict[str, Leaf]:
 
 
 def exchanged(value: Any, exchange: Mapping[str, Expr]) -> Any:
-    """An expression or a constraint, soft or not, with expressions in place of leaves; numbers as they are."""
+    """An expression or a constraint, possibly soft, with leaves replaced by expressions; numbers are unchanged."""
     if isinstance(value, Soft):
         weights = {"l1": value.l1, "l2": value.l2}
         return Soft(exchanged(value.constraint, exchange), **{k: exchanged(w, exchange) for k, w in weights.items()})
@@ -90,15 +90,15 @@ def arguments_of(system: Any, exchange: Mapping[str, Expr], name: Callable[[str]
     """The arguments of a `System` that is this one with other leaves.
 
     Args:
-        exchange: expressions in place of leaves, by their keys; of a state another state.
-        name: gives the new name of what has one.
+        exchange: the expressions that replace leaves, by the keys of these; a state is replaced by a state.
+        name: a function that returns a new name.
     """
 
     def swapped(expr: Any) -> Any:
         return substitute(expr, exchange)
 
     def leaves(of_kind: tuple[Leaf, ...]) -> list[Any]:
-        """Those that are still leaves of their kind."""
+        """The replaced leaves that are still leaves of their kind."""
         now = [exchange.get(leaf.key(), leaf) for leaf in of_kind]
         return [new for old, new in zip(of_kind, now, strict=True) if type(new) is type(old)]
 

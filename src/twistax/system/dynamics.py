@@ -1,4 +1,4 @@
-"""A compiled system: what an integrator, a filter, an optimiser or a user calls."""
+"""Compiled systems, as integrators, filters, optimisers and users call them."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ from .system import System
 class Dynamics:
     """The functions of a system, jitted and differentiable, all with the signature (t, x, u, params).
 
-    x, u and params are dicts by leaf name. u and params may be omitted; a missing parameter takes its default value.
-    The result has the precision of x. `compile` makes it.
+    x, u and params are dicts by leaf name. u and params are optional; a missing parameter has its default value. The
+    result has the precision of x. Made by `compile`.
 
     Attributes:
-        system: the system as written.
-        states, controls, parameters: its leaves in order, without baked parameters.
+        system: the original system.
+        states, controls, parameters: its leaves in order, without those that `bake` made constants.
         group: the product group of the state; its `slices` have the position of each state in a tangent vector.
         dimension: length of a tangent vector.
         backend: the backend of its functions.
-        baked: the values of parameters folded into the code, by name.
-        functions: the same functions of validated arguments, for integrators and other loops.
+        baked: the values of parameters that are constants of the compiled system, by name.
+        functions: the same functions of checked arguments, for integrators and other loops.
     """
 
     def __init__(self, functions: Functions) -> None:
@@ -66,16 +66,16 @@ class Dynamics:
         """Rates by state name: a body velocity for a group-valued state.
 
         Raises:
-            InputError: an unknown key, a wrong shape, or a value that is read and not given.
+            InputError: an unknown key, a wrong shape, or a missing value that is read.
         """
         return self.functions.call("rates", t, x, u, params)
 
     def outputs(self, t: Any, x: Values, u: Values | None = None, params: Values | None = None) -> Arrays:
-        """The outputs by name. Raises the same errors as a call of the dynamics."""
+        """The outputs by name. Raises the errors of a call of the dynamics."""
         return self.functions.call("outputs", t, x, u, params)
 
     def constraints(self, t: Any, x: Values, u: Values | None = None, params: Values | None = None) -> Arrays:
-        """`{"inequality": (n,) <= 0, "equality": (m,) = 0}` in the order of declaration. Raises the same errors as a
+        """`{"inequality": (n,) <= 0, "equality": (m,) = 0}` in the order of declaration. Raises the errors of a
         call.
         """
         return self.functions.call("constraints", t, x, u, params)
@@ -91,14 +91,14 @@ class Dynamics:
     ) -> Arrays:
         """The derivatives of the rates: {"x": (n, n), "u": (n, m)}, without computing structural zeros.
 
-        Rows are the rates as one tangent vector, states in the order of declaration. Columns of "x" are right
-        perturbations x (+) d, of "u" and "params" the entries of the arguments in row-major order, in the order of
-        declaration. Units are those of the rates over those of the columns. Traceable and differentiable.
+        Rows are the rates as one tangent vector, with states in the order of declaration. Columns of "x" are right
+        perturbations x (+) d; columns of "u" and "params" are the entries of the arguments in row-major order, in the
+        order of declaration. Units are those of the rates over those of the columns. Traceable and differentiable.
 
         Args:
-            wrt: which of "x", "u", "params", a tuple or one name.
+            wrt: one or several of "x", "u", "params", a tuple or one name.
         Raises:
-            InputError: as a call of the dynamics; an unknown entry in wrt.
+            InputError: the errors of a call of the dynamics; an unknown entry in wrt.
         """
         names = tuple(wrt) if isinstance(wrt, (tuple, list)) else (wrt,)
         return self.functions.jacobian(self.functions.prepare(t, x, u, params), names)
@@ -113,7 +113,7 @@ class Dynamics:
         *,
         wrt: str | Sequence[str] = ("x", "u"),
     ) -> jax.Array:
-        """The second derivatives of sum_i w_i . f_i, f_i rates, outputs or constraints: a symmetric matrix (N, N).
+        """The second derivatives of sum_i w_i . f_i, a symmetric (N, N); f_i are rates, outputs or constraints.
 
         Rows and columns follow `wrt`: right perturbations x (+) d of the states, entries of controls and parameters,
         like the columns of `jacobian`. Entry (j, k) is the derivative of sum_i w_i . f_i(x (+) d, u + du, p + dp) with
@@ -122,17 +122,17 @@ class Dynamics:
 
             $H_jk = (E_j E_k + E_k E_j) / 2 = E_k E_j - [E_k, E_j] / 2$,
 
-        which is symmetric: one triangle is computed, without structural zeros. Other
-        values of the weights do not recompile. Traceable, batched by vmap and differentiable. JAX differentiates
-        functions without a scalar form. Units are those of w . f over those of both tangents.
+        which is symmetric: only one triangle is computed, without structural zeros. Other values of the weights do not
+        recompile. Traceable, batched by vmap and differentiable. Functions without a scalar form are differentiated by
+        JAX. Units are those of w . f over those of both tangents.
 
         Args:
-            weights: by name of a state for its rate, of an output or of a constraint; or "inequality" and "equality"
-                for all constraints of a kind. Each has the shape of its quantity; omitted ones have the weight zero.
-            wrt: which of "x", "u", "params", a tuple or one name.
+            weights: by the name of a state (for its rate), of an output or of a constraint; or by "inequality" and
+                "equality" for all constraints of a kind. Each has the shape of its quantity; the default is zero.
+            wrt: one or several of "x", "u", "params", a tuple or one name.
         Raises:
-            InputError: as a call of the dynamics; an unknown entry in wrt; a weight with an unknown or ambiguous name,
-                or of another shape.
+            InputError: the errors of a call of the dynamics; an unknown entry in wrt; a weight with an unknown or
+                ambiguous name, or of another shape.
 
         Source: the Taylor series $f(x Exp(d)) = sum_n (sum_j d_j E_j)^n f / n!$; Helgason, Differential Geometry, Lie
         Groups, and Symmetric Spaces (1978), ch. II.
@@ -148,22 +148,22 @@ class Dynamics:
         Args:
             weights: the names that have weights, as in `hessian`.
         Raises:
-            InputError: as `hessian`.
-            ModelError: it takes too many scalars, or calls functions that only JAX can differentiate.
+            InputError: the errors of `hessian`.
+            ModelError: it takes too many scalars, or contains functions that only JAX can differentiate.
         """
         return hessian_pattern(self.functions, weights, (wrt,) if isinstance(wrt, str) else tuple(wrt))
 
     def project(self, t: Any, x: Values, u: Values | None = None, params: Values | None = None) -> Arrays:
-        """A state near x that the system's corrections do not change: on its constraint manifold, with closed loops.
+        """A state near x on the manifold of the system's constraints, for example with closed loops.
 
-        Newton's method with steps x (+) correction. Not traceable.
+        It is computed by Newton's method with the steps x (+) correction of the system's corrections. Not traceable.
 
         Raises:
             InputError: the errors of a call; the iteration does not converge from x.
             ModelError: the system has no corrections.
         """
         if not self.system.corrections:
-            raise ModelError("project expects a system with corrections, such as that of a mechanism with loops")
+            raise ModelError("project expects a system with corrections=, such as that of a mechanism with loops")
         return project(self.functions, t, x, u, params)
 
     def retract(self, x: Values, d: Any) -> Arrays:
@@ -187,21 +187,21 @@ class Dynamics:
     def explain(self, *, kinds: Literal[True]) -> KindsExplanation: ...
 
     def explain(self, of: str | None = None, *, kinds: bool = False) -> Explanation | Dependence | KindsExplanation:
-        """A report on the computation, its simplifications, and operation counts. Compiles the rates once to time it.
+        """A report on the computation, its simplifications, and operation counts. It compiles the rates once.
 
         Args:
-            of: a rate or an output, "V", or one entry of it, "V[3]", "speed": reports its dependencies instead.
-            kinds: reports the kinds, frames and units of leaves, rates and outputs instead, and which are unknown.
+            of: a rate or an output, "V", or one entry of it, "V[3]", "speed", whose dependencies are reported instead.
+            kinds: whether to report the kinds, frames and units of leaves, rates and outputs instead.
         Raises:
-            InputError: no rate and no output of that name, or no such entry.
+            InputError: no rate or output has that name, or it has no such entry.
             ModelError: the rates, or the requested quantity, take too many scalars to count.
-            KindError: kinds or units are inconsistent, where no leaf declares any.
+            KindError: declared kinds or units contradict each other.
         """
         if kinds:
             return explain_kinds(self.system)
         return explain(self.functions) if of is None else explain_one(self.functions, of)
 
-    # ---- in other forms --------------------------------------------------------------------------------------------
+    # ---- other forms ------------------------------------------------------------------------------------------------
 
     def to_c(
         self,
@@ -215,29 +215,30 @@ class Dynamics:
         points: Sequence[Sequence[Any]] | None = None,
         tolerance: float | None = None,
     ) -> CFiles:
-        """Write C99 code: `name.h` with the calling convention, `name.c`, and `name_test.c` with reference values.
+        """Write C99 code: `name.h` with the interface, `name.c`, and `name_test.c` with reference values.
 
-        The rates, and the outputs and constraints if there are any, are functions `name_rates`, `name_outputs`,
-        `name_constraints`; `name_jacobian` returns the derivatives of the rates as `jacobian` does. They allocate no
-        memory and need libm only. Files of those names from an earlier call are replaced.
+        The functions are `name_rates`, and if there are any outputs or constraints `name_outputs` and
+        `name_constraints`; `name_jacobian` returns the derivatives of the rates, as `jacobian` does. They allocate no
+        memory and need libm only. Files of these names from an earlier call are replaced.
 
         Args:
             directory: the folder of the files, which is created if missing.
             name: the name of the files, and the prefix of all functions.
-            dtype: float64 or float32, the numbers of the code, whatever JAX's x64 switch says.
-            jacobian: the arguments of derivatives, of "x", "u", "params"; () for no derivatives.
-            steps: an explicit method of integration, such as `tx.RKMK(tx.tableaus.RK4)`. Then `name_step` gives the
-                states $x Exp(eta)$ after a step of length h, equal to those of `tx.integrate`, with constant controls,
-                and `name_simulate` those after n steps.
-            checked: keep 0 x, 0 / x and x - x in the values, as `tx.XLA(checked=True)` does.
+            dtype: float64 or float32, the precision of the code, independent of JAX's x64 setting.
+            jacobian: the arguments of the derivatives, of "x", "u", "params"; () for no derivatives.
+            steps: an explicit integration method, such as `tx.RKMK(tx.tableaus.RK4)`. With it, there is also
+                `name_step`, which computes the states $x Exp(eta)$ after a step of length h with constant controls,
+                equal to those of `tx.integrate`, and `name_simulate`, which takes n steps.
+            checked: whether 0 x, 0 / x and x - x are evaluated rather than simplified, as by `tx.XLA(checked=True)`.
             points: points of the test program, (t, x, u, params) each; random by default.
-            tolerance: of its comparison, relative to the largest entry of a function; 1e-10, or 1e-4 for float32.
+            tolerance: of the test program, relative to the largest entry of a function; 1e-10, or 1e-4 for float32.
         Returns:
-            The paths: `header`, `source`, `test`.
+            The paths `header`, `source` and `test`.
         Raises:
-            ModelError: a part has no scalar form, such as steps of implicit methods; two names are equal in C; `steps`
-                is not a method.
-            InputError: a name or type that C does not have; a directory that is not writable, or has such files.
+            ModelError: a part has no scalar form, such as steps of implicit methods; two names that become the same in
+                C; `steps` is not a method.
+            InputError: a name that is not a C identifier, or another dtype; a directory that is not writable, or that
+                contains other files of these names.
         """
         from .export.c99 import write_c
 
@@ -256,21 +257,22 @@ class Dynamics:
     def to_casadi(
         self, families: str | Sequence[str] = "rates", *, name: str = "dynamics", checked: bool = False
     ) -> Any:
-        """A `casadi.Function` in SX: t, then states, controls and parameters by name -> `rate_` and the state's name.
+        """A `casadi.Function` in SX: t, then states, controls and parameters by name -> `rate_` with the state's name.
 
-        Vectors are columns, matrices stay matrices, arrays of more axes are a column of their entries in row-major
-        order. Structural zeros are sparse in CasADi too. Results that depend on omitted arguments are NaN, except for a
-        scalar parameter with a default value; bake other parameters to include them. The same applies to `jacobian()`
-        of the function; in other functions that CasADi derives, by `factory` or by differentiating twice, omitted
-        arguments are zero. CasADi differentiates a pose with respect to its 16 entries, not to tangents. Its max and
-        min drop NaN.
+        Vectors are columns, matrices remain matrices, and arrays with more axes are columns of their entries in
+        row-major order. Structural zeros are sparse in CasADi, too. Results that depend on omitted arguments are NaN,
+        except for a scalar parameter with a default value; use `bake` for other parameters. The same applies to
+        `jacobian()` of the function. In other functions that CasADi derives, by `factory` or by differentiating twice,
+        omitted arguments are zero. CasADi differentiates a pose with respect to its 16 entries, not to tangents. Its
+        max and min drop NaN.
 
         Args:
-            families: of "rates", "outputs" (by name), "constraints" (results "inequality" and "equality").
-            name: of the function.
-            checked: keep 0 x, 0 / x and x - x, as `tx.XLA(checked=True)` does.
+            families: the results, of "rates", "outputs" (by name), "constraints" (results "inequality" and "equality").
+            name: the name of the function.
+            checked: whether 0 x, 0 / x and x - x are evaluated rather than simplified, as by `tx.XLA(checked=True)`.
         Raises:
-            ModelError: CasADi is not installed (extra `casadi`); a part has no scalar form; two arrays have one name.
+            ModelError: CasADi is not installed (extra `casadi`); a part has no scalar form; two arrays have the same
+                name.
             InputError: a name that CasADi does not allow.
         """
         from .export.casadi_function import to_casadi
@@ -290,18 +292,20 @@ class Dynamics:
     ) -> Path:
         """Write a functional mock-up unit, FMI 3.0: model exchange with directional derivatives, and co-simulation.
 
-        Its variables are states, controls, parameters and outputs, by the names of tables of solutions, with the units
-        that leaves declare. A pose is exchanged as position and unit quaternion (w, x, y, z), a rotation as quaternion.
+        Its variables are states, controls, parameters and outputs, named like the columns of solution tables, with the
+        units that leaves declare. A pose is exchanged as position and unit quaternion (w, x, y, z), a rotation as
+        quaternion.
 
         Args:
-            path: of the file, `name.fmu`.
-            x0, u, params: values at the start; others start at `initial`, `guess` or `value`, or else at zero.
-            steps, dt: an explicit method and the longest step, s, of co-simulation; without one model exchange alone.
-            compiler: a C compiler of this machine; None: sources alone.
-        Returns: the path.
+            path: path of the file, `name.fmu`.
+            x0, u, params: start values; other variables start at their `initial`, `guess` or `value`, or else at zero.
+            steps, dt: an explicit method and the longest step, s, of co-simulation; without these, only model exchange.
+            compiler: a C compiler of this machine; None: the unit contains only sources.
+        Returns: the path of the file.
         Raises:
-            ModelError: a part has no scalar form; `steps` is no method; a parameter has no value; no such compiler.
-            InputError: values of other names or shapes, or not finite; a path that cannot be written.
+            ModelError: a part has no scalar form; `steps` is not a method; a parameter has no value; the compiler does
+                not exist.
+            InputError: values with unknown names, of another shape, or not finite; a path that cannot be written.
 
         Source: Functional Mock-up Interface Specification 3.0.1 (Modelica Association, 2023).
         """
@@ -336,14 +340,14 @@ def compile(
     Rates, outputs and constraints are separate functions, each traced at its first call.
 
     Args:
-        outputs: names of the outputs to keep; all by default.
-        bake: parameters to fold into the code, name -> value; they are no longer inputs.
-        backend: the backend of the functions. `tx.XLA()` makes scalar programs of large ones; `tx.Native()` compiles
-            kernels by llvmlite; `tx.JAX()` runs everything as written, on small arrays. "auto" is `tx.XLA()`, with
-            native kernels for large functions and steps of explicit methods where llvmlite is installed.
+        outputs: names of the outputs to keep; by default all.
+        bake: parameters to make constants of the compiled system, name -> value; they are no longer inputs.
+        backend: the backend of the functions. `tx.XLA()` converts large functions to scalar programs; `tx.Native()`
+            compiles kernels by llvmlite; `tx.JAX()` executes everything as written, on small arrays. "auto" is
+            `tx.XLA()`, with native kernels for large functions and steps of explicit methods if llvmlite is installed.
     Raises:
-        ModelError: an unknown output or parameter; another backend.
-        ShapeError: a baked value of the wrong shape.
+        ModelError: an unknown output or parameter; an invalid backend.
+        ShapeError: a value in `bake` of the wrong shape.
     """
     if not isinstance(system, System):
         raise ModelError(f"compile expects a tx.System, got {type(system).__name__}; for an expression use tx.lower")
@@ -354,18 +358,18 @@ def compile(
 
 
 def load(path: str | Path, *, backend: Backend | Literal["auto"] | None = None) -> Dynamics:
-    """A compiled system from a file that `Dynamics.save` wrote.
+    """Load a compiled system from a file that `Dynamics.save` wrote.
 
-    Its expressions have the same keys as before, and its functions give the same numbers on the same machine, to the
-    last bit. Nothing in a file is executed. Custom nodes, groups and backends are found by the names of their module
-    and class: import their modules first.
+    Its expressions have the same keys as before, and on the same machine its functions return exactly the same numbers.
+    Nothing in a file is executed. Custom nodes, groups and backends are found by the names of their module and class:
+    import their modules first.
 
     Args:
-        backend: another backend than that of the file.
+        backend: a backend in place of that of the file.
     Raises:
-        InputError: the file does not exist, has another type or format, or is damaged; it names the path and
+        InputError: the file does not exist, has another type or format, or is damaged; the message names the path and
             the versions.
-        ModelError: a class that is unknown, or that has changed since.
+        ModelError: a class that is unknown, or that has changed since the file was written.
     """
     from .export.saved import read
 
@@ -374,19 +378,17 @@ def load(path: str | Path, *, backend: Backend | Literal["auto"] | None = None) 
 
 
 def steps_of(dynamics: Dynamics, method: Any) -> Callable[..., Arrays]:
-    """A step of a method on a system: of t, x, u, params and h. Pure and traceable.
+    """A function of t, x, u, params and h that takes a step of a method. Pure and traceable.
 
     Raises:
-        ModelError: no method of integration, or one that does not fit the system.
+        ModelError: not an integration method, or one that does not support the system.
     """
     step = getattr(method, "step_in_arrays", None)
     if isinstance(method, type) or step is None:
         raise ModelError(f"steps expects a method such as tx.RKMK(tx.tableaus.RK4), got {method!r}")
     method.check(dynamics)
     if dynamics.system.corrections:
-        raise ModelError(
-            "steps: C has no form of the corrections that systems with loops need.\n  fix: leave steps out"
-        )
+        raise ModelError("steps: the corrections of systems with loops are not supported in C.\n  fix: leave steps out")
     return functools.partial(step, dynamics)
 
 

@@ -1,4 +1,4 @@
-"""Explanations: what a compiled system computes, and what was left out."""
+"""Explanations: what a compiled system computes, and what the simplification removed."""
 
 from __future__ import annotations
 
@@ -31,21 +31,21 @@ _LEFT_OUT = "the Jacobian is left out: it takes too many scalars"
 
 @dataclasses.dataclass(frozen=True)
 class Explanation:
-    """The counts of a compiled system before and after simplification, and what was left out. Print it.
+    """The counts of a compiled system before and after simplification, and what was removed. Print it.
 
     Attributes:
         leaves: kind -> names, in order.
         unused: one line per control or parameter that no rate needs.
-        baked: names of parameters folded into the code.
-        nodes: (tree nodes as written, distinct nodes after canonicalize).
+        baked: names of the parameters that are constants of the compiled system.
+        nodes: (tree nodes as written, distinct nodes after `canonicalize`).
         equations: (jaxpr equations as written, after).
-        operations: operations on scalars of the rates by kind: (in arrays as written, as a scalar program).
-        constants: entry of a rate -> its value, where it depends on nothing.
+        operations: the number of scalar operations of the rates by kind: (in arrays as written, as a scalar program).
+        constants: entry of a rate -> its value, if it is constant.
         patterns: "x", "u" and "params" -> where the Jacobian of the rates is not structurally zero, (n, columns). Empty
-            where the Jacobian takes too many scalars.
-        backend: how the rates run, and why.
-        compile_seconds: how long XLA took for one call of the rates.
-        without_kernel: the name of each `tx.Function` that no native kernel can hold, with the reason.
+            if the Jacobian takes too many scalars.
+        backend: how the rates are executed, and why.
+        compile_seconds: XLA's compile time of a call of the rates.
+        without_kernel: the name of each `tx.Function` that native kernels do not support, with the reason.
     """
 
     leaves: dict[str, list[str]]
@@ -61,7 +61,7 @@ class Explanation:
     without_kernel: dict[str, str]
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain data; patterns as nested lists of truth values."""
+        """The attributes as plain data, with patterns as nested lists of booleans."""
         patterns = {kind: pattern.tolist() for kind, pattern in self.patterns.items()}
         return {**dataclasses.asdict(self), "patterns": patterns}
 
@@ -76,7 +76,7 @@ class Explanation:
         """The pattern by states, then controls, on Matplotlib axes.
 
         Raises:
-            ModelError: there is none.
+            ModelError: there is no pattern.
         """
         if not self.patterns:
             raise ModelError(f"there is no pattern to plot: {_LEFT_OUT}")
@@ -114,13 +114,13 @@ class Explanation:
 
 @dataclasses.dataclass(frozen=True)
 class Dependence:
-    """What one rate or output, or one entry of it, depends on. Print it.
+    """The dependencies of one rate or output, or of one entry of it. Print it.
 
     Attributes:
-        name: of what was asked for.
+        name: the name of the rate, output or entry.
         reads: the entries of t, states, controls and parameters that it depends on.
-        operations: on scalars by kind that it takes.
-        value: its value where it depends on nothing and is one number, else None.
+        operations: the number of scalar operations by kind.
+        value: its value if it is a single constant, else None.
     """
 
     name: str
@@ -138,13 +138,13 @@ class Dependence:
 
 @dataclasses.dataclass(frozen=True)
 class KindsExplanation:
-    """What is known of kinds, frames and units: declared, inferred from operators, or open. Print it.
+    """The known kinds, frames and units: declared, inferred from operators, or open. Print it.
 
     Attributes:
-        leaves, rates, outputs: name -> what is known of the value.
+        leaves, rates, outputs: name -> a text about its kind.
         of_kind: "states", "controls" and "parameters" -> names, in order.
-        declared: the names of the leaves that declare something themselves.
-        open: the names of leaves of which nothing is known, then of rates and outputs, such as "rate of q".
+        declared: the names of the leaves that declare a kind or a unit.
+        open: the names of leaves without a known kind, then of rates and outputs, such as "rate of q".
     """
 
     leaves: dict[str, str]
@@ -170,7 +170,7 @@ class KindsExplanation:
 
 
 def explain_kinds(system: System) -> KindsExplanation:
-    """Implements `Dynamics.explain(kinds=True)`. Raises KindError where values do not fit each other."""
+    """Implements `Dynamics.explain(kinds=True)`. Raises KindError for contradictions."""
     roots = {
         **{f"rates[{name!r}]": rate for name, rate in system.rates.items()},
         **{f"outputs[{name!r}]": expr for name, expr in system.outputs.items()},
@@ -235,7 +235,7 @@ def explain_one(functions: Functions, of: str) -> Dependence:
     """Implements `Dynamics.explain(of)` for one rate or output, or an entry of it.
 
     Raises:
-        InputError: no rate and no output of that name, or no such entry.
+        InputError: no rate or output has that name, or it has no such entry.
     """
     name, _, rest = str(of).partition("[")
     families = {known: family for family in ("outputs", "rates") for known in functions.families[family]}
@@ -265,7 +265,7 @@ def explain_one(functions: Functions, of: str) -> Dependence:
 
 
 def count_equations(jaxpr: Any) -> int:
-    """Equations of a jaxpr, inner ones included and calls themselves not."""
+    """The number of equations of a jaxpr, including inner ones and excluding calls."""
     return sum(not inner_jaxprs(equation) for equation in all_equations(jaxpr))
 
 

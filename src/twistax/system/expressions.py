@@ -1,4 +1,4 @@
-"""The expressions of a system as they are compiled: with chosen outputs and baked parameters, simplified."""
+"""The expressions of a system in compiled form: with selected outputs and constant parameters, simplified."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ..jax_inside import is_traced
 
 
 def chosen_outputs(outputs: Mapping[str, Expr], names: Iterable[str] | None) -> dict[str, Expr]:
-    """The outputs of these names; all if None."""
+    """The outputs with these names; all if None."""
     if names is None:
         return dict(outputs)
     names = [names] if isinstance(names, str) or not isinstance(names, Iterable) else list(names)
@@ -25,14 +25,14 @@ def chosen_outputs(outputs: Mapping[str, Expr], names: Iterable[str] | None) -> 
 
 
 def constants_of(parameters: tuple[Parameter, ...], bake: Mapping[str, Any]) -> dict[str, Constant]:
-    """The baked parameters: key of the leaf -> constant."""
+    """The parameters that `bake` makes constants: key of the leaf -> constant."""
     known = {p.name: p for p in parameters}
     constants: dict[str, Constant] = {}
     for name, value in bake.items():
         if name not in known:
             raise ModelError(f"bake names {name!r}, which is not a parameter; the system has: {listed(known, name)}")
         if value is None:
-            raise ModelError(f"bake[{name!r}] is None; give a value of shape {known[name].shape}")
+            raise ModelError(f"bake[{name!r}] is None; pass a value of shape {known[name].shape}")
         if is_traced(value):
             raise ModelError(
                 f"bake[{name!r}] is traced (inside jit, grad or vmap), so its value is not known.\n"
@@ -48,6 +48,6 @@ def silent(noises: Iterable[Noise]) -> dict[str, Constant]:
 
 
 def canonical(exprs: Mapping[str, Expr], constants: Mapping[str, Expr]) -> dict[str, Expr]:
-    """The expressions with constants in place of what is baked, simplified together."""
+    """The expressions, with constants in place of these parameters, simplified together."""
     roots = [substitute(expr, constants) for expr in exprs.values()] if constants else list(exprs.values())
     return dict(zip(exprs, canonicalize_all(roots), strict=True))

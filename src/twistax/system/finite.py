@@ -1,4 +1,4 @@
-"""Expressions that are not finite for any state."""
+"""Detection of expressions that are not finite for any state."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _PASSING = (Add, Sub, Mul, Div, Neg, Stack, Concat, Block, Hstack, Vstack)
 
 
 def need_finite(place: str, root: Expr) -> None:
-    """Raise ModelError if an expression (of a constraint its residual) is not finite for any states."""
+    """Raise ModelError if an expression (for a constraint, its residual) is not finite for any state."""
     root = root.residual() if isinstance(root, Constraint) else root
     if (not_finite := _not_finite(root)) is not None:
         raise ModelError(

@@ -36,7 +36,7 @@ _SETTINGS = ("jax_enable_x64", "jax_default_matmul_precision")
 
 
 class Cache:
-    """A cache by key, and by the settings of JAX on which numbers depend. The least recently used entries are dropped.
+    """A cache by key, and by the settings of JAX that affect numbers. The least recently used entries are dropped.
 
     Args:
         most: the largest number of entries.
@@ -48,7 +48,7 @@ class Cache:
         self._lock = threading.Lock()
 
     def get(self, key: Any, make: Callable[[], Made]) -> Made:
-        """The cached value of a key; made by `make` if there is none."""
+        """The cached value of a key, computed by `make` if there is none."""
         key = (*(getattr(jax.config, name) for name in _SETTINGS), key)
         kept = self._entries.get(key, self)
         if kept is self:
@@ -64,23 +64,23 @@ class Cache:
         return made
 
     def values(self) -> list[Any]:
-        """All cached values, the last used one at the end."""
+        """All cached values, the most recently used one last."""
         return list(self._entries.values())
 
 
 class Functions:
-    """The functions of a system on prepared arguments: traceable, unchecked.
+    """The functions of a system on prepared arguments: traceable, without checks.
 
-    For integrators, solvers and filters, which check arguments once, by `prepare`.
+    They are for integrators, solvers and filters, which check arguments once, by `prepare`.
 
     Attributes:
-        system, states, controls, parameters, group, baked, backend: those of `Dynamics`.
+        system, states, controls, parameters, group, baked, backend: as in `Dynamics`.
         families: the simplified expressions of "rates", "outputs", "constraints" and "corrections", by name.
         constraints: the simplified residuals of "inequality" and "equality", by name.
-        steps: a cache of what integrators compile of steps of this system, of 32 entries.
+        steps: a cache, of 32 entries, of the compiled steps of integrators.
         hessians: a cache of the programs of Hessians.
-        jitted: `evaluate`, in the form for calls.
-        loops: a cache of jitted functions of integrators, which take a `twin` of this.
+        jitted: the function `evaluate`, in the form for calls.
+        loops: a cache of the jitted functions of integrators, which read a `twin` of this object.
     """
 
     def __init__(self, system: System, outputs: Iterable[str] | None, bake: Mapping[str, Any], backend: Backend):
@@ -115,7 +115,7 @@ class Functions:
         return self._changed(backend=backend)
 
     def outside_loops(self) -> Functions:
-        """A copy for functions outside of loops in kernels, where large rates are kernels of their own too."""
+        """A copy for functions outside of loops in kernels, where large rates are separate kernels."""
         return self._changed(_outside=True)
 
     def with_outputs(self, names: Iterable[str]) -> Functions:
@@ -127,7 +127,7 @@ class Functions:
         return twin
 
     def twin(self) -> Functions:
-        """A copy with another cache `loops`: functions in the cache read the copy, and do not keep this alive."""
+        """A copy with a separate cache `loops`: functions in the cache do not keep this object alive."""
         return self._changed(loops=Cache(32))
 
     def _changed(self, **changes: Any) -> Functions:
@@ -152,14 +152,15 @@ class Functions:
         names: Sequence[str] = ("t", "x", "u", "params"),
         on_host: bool = False,
     ) -> Inputs:
-        """Check and cast the arguments once, before a loop; defaults of parameters are filled in.
+        """Check and convert the arguments once, before a loop; defaults of parameters are inserted.
 
         Args:
-            reads: which of "rates", "outputs", "constraints" will be evaluated: the leaves that they read are required.
-            names: of the arguments, for messages.
-            on_host: leave arrays of NumPy as they are, for a jitted function.
+            reads: the families, of "rates", "outputs", "constraints", that will be evaluated: the leaves that they read
+                are required.
+            names: the names of the arguments in messages.
+            on_host: whether to leave NumPy arrays unchanged, for a jitted function.
         Raises:
-            InputError: as a call of the dynamics.
+            InputError: the errors of a call of the dynamics.
         """
         required = {state.name for state in self.states}.union(*(self.reads[family] for family in reads))
         return self._arguments.prepare(required, t, x, u, params, names=names, on_host=on_host)
@@ -220,7 +221,7 @@ class Functions:
         """Rates, outputs or constraints, not jitted.
 
         Args:
-            in_loop: in the form for the loop of an integrator; else in that for calls and batches.
+            in_loop: whether to use the form for the loop of an integrator; else that for calls and batches.
         """
         leaves, structure = jax.tree.flatten((t, x, u, params))
         types = tuple((jnp.shape(a), jnp.result_type(a)) for a in leaves)
@@ -235,7 +236,9 @@ class Functions:
     def emission(
         self, family: str, structure: Any, types: tuple[tuple[tuple[int, ...], Any], ...], *, in_loop: bool = False
     ) -> tuple[Emission, Any]:
-        """How a family of functions runs on arguments of these (shape, type), and the structure of its results."""
+        """How a family of functions is executed for arguments of these (shape, type), and the structure of its
+        results.
+        """
         backend = self.backend.in_loops() if in_loop else self.backend
 
         def make() -> tuple[Emission, Any]:
@@ -251,16 +254,16 @@ class Functions:
         return self._made.get((backend, family, structure, types), make)
 
     def as_written(self, family: str, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> Arrays:
-        """Rates, outputs or constraints in arrays, node by node."""
+        """Rates, outputs or constraints in arrays, evaluated node by node."""
         return self.values(self.families[family], family == "constraints", t, x, u, params)
 
     def values(
         self, roots: Mapping[str, list[Expr]], joined: bool, t: jax.Array, x: Arrays, u: Arrays, params: Arrays
     ) -> Arrays:
-        """Expressions by name, in arrays, node by node.
+        """Expressions by name, in arrays, evaluated node by node.
 
         Args:
-            joined: whether the entries of all expressions of a name form one vector; else a name has one expression.
+            joined: whether all expressions of a name are joined to one vector; else a name has one expression.
         """
         dtype = x[self.states[0].name].dtype
         inputs = Inputs(t, x, u, params, dtype)
@@ -304,7 +307,7 @@ class Functions:
         """The program of the Jacobian for arguments of these types, and the arguments.
 
         Raises:
-            InputError: an entry of wrt that is none of "x", "u", "params", or that stands there twice.
+            InputError: an unknown or repeated entry in wrt.
             TooLarge: too many scalars.
         """
         check_kinds(wrt)
@@ -326,7 +329,9 @@ class Functions:
         return self._made.get((wrt, places, inputs.dtype), make), arrays
 
     def flat(self, inputs: Inputs) -> tuple[Places, list[jax.Array]]:
-        """The arguments in the order of declaration: what each is, ("t", "t") or its kind and name; and the arrays."""
+        """The arguments in the order of declaration: the key of each, ("t", "t") or its kind and name; and the
+        arrays.
+        """
         leaves, by_kind = (self.states, self.controls, self.parameters), (inputs.x, inputs.u, inputs.params)
         named = {
             (kind, leaf.name): values[leaf.name]
@@ -337,7 +342,7 @@ class Functions:
         return (("t", "t"), *named), [inputs.t, *named.values()]
 
     def flat_rates(self, places: Places, *arrays: jax.Array) -> list[jax.Array]:
-        """All rates as one vector, in arrays, of arguments as `flat` gives them."""
+        """All rates as one vector, in arrays, from arguments in the form of `flat`."""
         rates = self.as_written("rates", *self.by_kind(places, arrays))
         return [jnp.concatenate([rates[state.name].reshape(-1) for state in self.states])]
 
@@ -352,7 +357,7 @@ class Functions:
         return [rates, *results.values()]
 
     def by_kind(self, places: Places, arrays: Sequence[jax.Array]) -> tuple[jax.Array, Arrays, Arrays, Arrays]:
-        """t, x, u and params again, of arguments as `flat` gives them."""
+        """The arguments t, x, u and params, from arguments in the form of `flat`."""
         values: dict[str, Arrays] = {"x": {}, "u": {}, "params": {}}
         for (kind, name), array in zip(places[1:], arrays[1:], strict=True):
             values[kind][name] = array
@@ -380,10 +385,10 @@ def _by_program(kinds: Sequence[str], program: Derived, *arrays: jax.Array) -> A
 
 
 def check_kinds(wrt: tuple[str, ...]) -> None:
-    """Raise InputError unless all are "x", "u" or "params", each at most once."""
+    """Raise InputError unless all entries are "x", "u" or "params", each at most once."""
     for kind in wrt:
         if kind not in ("x", "u", "params"):
-            raise InputError(f"wrt names {kind!r}; it takes 'x', 'u' and 'params'")
+            raise InputError(f"wrt expects names out of 'x', 'u' and 'params', got {kind!r}")
     if len(set(wrt)) < len(wrt):
         raise InputError(f"wrt expects each of 'x', 'u' and 'params' once, got {wrt}")
 

@@ -1,4 +1,6 @@
-"""The Hessian of a weighted sum of a system's functions: on the graph of scalars, with its pattern, else in arrays."""
+"""The Hessian of a weighted sum of a system's functions: from scalar programs, with its sparsity pattern, or else by
+JAX.
+"""
 
 from __future__ import annotations
 
@@ -68,7 +70,9 @@ def hessian_pattern(functions: Functions, weights: Iterable[str], wrt: tuple[str
     check_kinds(wrt)
     matrix = _kept(functions, _weighted(functions, weights), functions.zeros(), wrt)
     if matrix is None:
-        raise ModelError("the Hessian has no pattern: it takes too many scalars, or derivatives that only JAX can take")
+        raise ModelError(
+            "the Hessian has no pattern, because it takes too many scalars, or derivatives that only JAX can compute"
+        )
     return matrix.pattern.copy()
 
 
@@ -104,8 +108,8 @@ def _weighted(functions: Functions, names: Iterable[str]) -> tuple[_Weighted, ..
             raise InputError(f"unknown key {name!r} in weights; expected a rate, an output or a constraint: {names}")
         if len(same) > 1:
             raise InputError(
-                f"weights[{name!r}] is ambiguous: the system has {' and '.join(c.family for c in same)} of that name.\n"
-                "  fix: rename the output or the constraint"
+                f"weights[{name!r}] is ambiguous: the system has {' and '.join(c.family for c in same)} "
+                "with that name.\n  fix: rename the output or the constraint"
             )
         if same[0].exprs and same[0].exprs[0].boolean:
             raise InputError(f"weights[{name!r}]: the output is a condition, not a number")
@@ -143,7 +147,7 @@ def _key(weighted: Sequence[_Weighted], places: Places, inputs: Inputs, wrt: tup
 
 
 def hessian_in_arrays(total: Callable[[jax.Array], jax.Array], zero: jax.Array) -> jax.Array:
-    """The second derivatives of a function of a vector by JAX, made exactly symmetric."""
+    """The second derivatives of a function of a vector, by JAX, made exactly symmetric."""
     try:
         second = jax.hessian(total)(zero)
     except (TypeError, ValueError):  # a loop of unknown length has derivatives forward alone
@@ -177,20 +181,21 @@ def _in_arrays(
 
 
 class WeightedHessian:
-    """The second derivatives of sum_i w_i . f_i along right perturbations x (+) d of states, and along other arguments.
+    """The second derivatives of sum_i w_i . f_i with respect to right perturbations x (+) d of states, and to other
+    arguments.
 
-    Forward over a gradient, which is taken in reverse or forward, by the count of operations. Of each pair of tangents
-    one of the two orders is computed: what more of the gradient depends on is carried forward first.
+    Forward derivatives of the gradient, which is computed in reverse or forward mode, whichever takes fewer operations.
+    For each pair of tangents only one of the two orders is computed.
 
     Args:
         given: the functions f_i.
-        weighted: how many of them, from the first on, have weights; all if None.
+        weighted: the number of leading functions that have weights; all if None.
 
     Attributes:
         pattern: where the symmetric matrix is not structurally zero.
 
     Raises:
-        TypeError, ValueError, NotImplementedError: a call has no such derivative.
+        TypeError, ValueError, NotImplementedError: a call lacks the required derivative.
         TooLarge: too many scalars.
     """
 
@@ -211,21 +216,23 @@ class WeightedHessian:
         program = best.gradient.restricted([self._matrix])
         # JAX says only where it runs that a function has no forward derivative.
         if any(eqn.primitive.name == "custom_lin" for c in program.calls for eqn in all_equations(c.jaxpr.jaxpr)):
-            raise TypeError("a called function has only a reverse derivative")
+            raise TypeError("a called function has only a reverse-mode derivative")
         self.pattern = self._matrix != program.graph.zero
         self._program = program
 
     @functools.cached_property
     def program(self) -> ScalarProgram:
-        """(arguments, weights w_i) -> the matrix."""
+        """A function A function (arguments, weights w_i) -> the matrix."""
         # Rows with most entries last: measurements show the fewest memory stalls of kernels in this order.
         return one_by_one(self._program, self._in_order)
 
     def beside_values(self, substituted: Mapping[int, int]) -> ScalarProgram:
-        """(arguments, weights w_i) -> the functions, the Jacobian of those with weights, and the matrix.
+        """A function A function (arguments, weights w_i) -> the functions, the Jacobian of those with weights, and the
+        matrix.
 
         Args:
-            substituted: arguments that are functions themselves, by their numbers; the program does not take them.
+            substituted: arguments that are functions themselves, by their indices; they are not arguments of the
+                program.
         """
         best, g = self._best, self._best.gradient.graph
         slopes = np.full((len(best.weighted.flat), len(self._matrix)), g.zero)

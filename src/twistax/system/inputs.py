@@ -1,4 +1,4 @@
-"""The arguments (t, x, u, params) of every lowered function, checked and cast to one precision."""
+"""The arguments (t, x, u, params) of lowered functions: checks, and conversion to one precision."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ Values = Mapping[str, Any]
 
 
 def precision(*groups: Values | None) -> Any:
-    """The precision of a call: that of the widest array in single or double precision in the first group with one.
+    """The precision of a call: that of the widest array in single or double precision in the first group that has one.
 
-    Python numbers, integers and arrays in half precision do not count, wider arrays count as double; without any it is
-    JAX's default float.
+    Python numbers, integers and arrays in half precision are ignored, wider arrays count as double; without any array
+    it is JAX's default.
     """
     for values in groups:
         arrays = values.values() if isinstance(values, Mapping) else ()
@@ -44,13 +44,14 @@ def _shaped(leaf: Any, kind: str) -> str:
 def read_values(
     kind: str, leaves: Iterable[Any], values: Values | None, dtype: Any, on_host: bool = False
 ) -> dict[str, Any]:
-    """Check names and shapes and cast. The caller checks for missing names.
+    """Check names and shapes, and convert the values. Missing names are checked by the caller.
 
     Args:
         leaves: objects with a name and a shape.
-        on_host: leave arrays of NumPy as they are: a jitted function takes them faster than JAX converts them.
+        on_host: whether to leave NumPy arrays unchanged, because a jitted function accepts them faster than JAX
+            converts them.
     Raises:
-        InputError: an unknown key, a wrong shape, or not numbers.
+        InputError: an unknown key, a wrong shape, or values that are not numeric.
     """
     known = {leaf.name: leaf for leaf in leaves}
     if values is None:
@@ -81,9 +82,9 @@ def is_finite(value: Any) -> bool:
 
 
 def cast(place: str, array: jax.Array | np.ndarray, dtype: Any, on_host: bool = False) -> jax.Array | np.ndarray:
-    """The array in the precision of the call. Raises InputError where that cannot hold it.
+    """The array in the precision of the call. Raises InputError if it cannot be represented in it.
 
-    Arrays of JAX stay on their devices. Those in a wider precision are waited for, and read on the host.
+    JAX arrays stay on their devices. Arrays in a wider precision are read on the host, which waits for them.
     """
     need_representable(place, array, dtype)
     if isinstance(array, np.ndarray):
@@ -104,7 +105,7 @@ def need_representable(place: str, array: jax.Array | np.ndarray, dtype: Any) ->
     if overflows.any():
         raise InputError(
             f"{place} has {np.abs(known[overflows]).max():.3g}, which does not fit in {np.dtype(dtype).name}.\n"
-            '  fix: other units, or double precision: jax.config.update("jax_enable_x64", True) and float64 arrays'
+            '  fix: use other units, or double precision: jax.config.update("jax_enable_x64", True) and float64 arrays'
         )
 
 
@@ -118,7 +119,7 @@ class _Slot(NamedTuple):
 
 
 class CallArguments:
-    """The leaves of a function, sorted by kind once; it checks and casts the values of each call.
+    """The leaves of a function, sorted by kind once, to check and convert the values of each call.
 
     Args:
         leaves: states, controls and parameters.
@@ -143,15 +144,15 @@ class CallArguments:
         on_host: bool = False,
         spare: bool = False,
     ) -> Inputs:
-        """The checked arguments. Their precision is that of x; where x has no float array, of u, params or t.
+        """The checked arguments. Their precision is that of x; or, if x has no float array, of u, params or t.
 
         Args:
-            required: the names that are read.
-            names: of the arguments, for messages.
-            on_host: leave arrays of NumPy as they are.
+            required: the names that must be present.
+            names: the names of the arguments in messages.
+            on_host: whether to leave NumPy arrays unchanged.
             spare: whether x may have states that are not read; they count for the precision.
         Raises:
-            InputError: an unknown key, a wrong shape, a state, control or parameter value that is read and not there.
+            InputError: an unknown key, a wrong shape, or a missing value that is read.
         """
         dtype = precision(x, u, params, {"t": t})
         if spare and isinstance(x, Mapping):

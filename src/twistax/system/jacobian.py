@@ -1,4 +1,4 @@
-"""The Jacobian of the rates on the graph of scalars, with its pattern."""
+"""The Jacobian of the rates from scalar programs, with its sparsity pattern."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Places: TypeAlias = Sequence[tuple[str, str]]
 
 
 class Differentiated(NamedTuple):
-    """Functions of flat arguments, and the arguments by which they are differentiated."""
+    """Functions of flat arguments, and the arguments with respect to which they are differentiated."""
 
     closed: ClosedJaxpr  # each result a flat vector
     places: Places
@@ -44,14 +44,15 @@ Known: TypeAlias = Mapping[str, Sequence[str | int]]
 
 
 class RateJacobian:
-    """d rates / d (states, controls, parameters) as a scalar program; the rates are one flat vector.
+    """The derivatives of rates with respect to states, controls and parameters, as a scalar program; the rates are one
+    flat vector.
 
     Args:
-        given: the rates. Where derivatives are known, what they are by and the derivatives come after the rates, in the
+        given: the rates. If some derivatives are declared, their arguments and the derivatives follow the rates, in the
             order of `known`: first all vectors, then all matrices.
-        largest: the most scalars there may be.
+        largest: the largest number of scalars.
     Raises:
-        TooLarge: there are more.
+        TooLarge: the program has more scalars.
     """
 
     def __init__(self, problem: Differentiated, known: Known | None = None, largest: int = 200_000) -> None:
@@ -98,10 +99,10 @@ class RateJacobian:
 
 
 def fewer(plain: Callable[[], Differentiated], with_known: RateJacobian) -> RateJacobian:
-    """The cheaper of the derivatives on the graph and the known ones, by number of operations.
+    """The cheaper of automatic and declared derivatives, by the number of operations.
 
     Args:
-        plain: gives the rates alone, where their derivatives are tried.
+        plain: returns only the rates, for which automatic derivatives are tried.
     """
     if with_known.rates.operations > _SMALL:
         return with_known
@@ -116,7 +117,7 @@ def fewer(plain: Callable[[], Differentiated], with_known: RateJacobian) -> Rate
 def along(
     group: Product, places: Places, wrt: Sequence[str], arrays: Sequence[jax.Array]
 ) -> tuple[dict[str, int], Callable[[jax.Array], list[jax.Array]]]:
-    """The number of tangents of each kind of argument; and the function that moves arguments by a vector of them."""
+    """The number of tangents for each kind of argument; and a function that moves arguments along a tangent vector."""
     numbers_of = {kind: [k for k, (of, _) in enumerate(places) if of == kind] for kind in wrt}
     sizes = {kind: sum(arrays[k].size for k in numbers) for kind, numbers in numbers_of.items()}
     if "x" in numbers_of:
@@ -142,10 +143,10 @@ def along(
 def blocks_in_arrays(
     rates: Callable[..., jax.Array], group: Product, places: Places, wrt: Sequence[str], arrays: Sequence[jax.Array]
 ) -> dict[str, jax.Array]:
-    """The blocks of a Jacobian by JAX: the derivatives along all tangents, as a batch of bodies.
+    """The blocks of a Jacobian, by JAX: the derivatives along all tangents as one batch.
 
     Args:
-        rates: of the arrays, one vector.
+        rates: a function of the arrays that returns one vector.
     """
     sizes, moved = along(group, places, wrt, arrays)
     slopes = jax.jacfwd(lambda d: rates(*moved(d)))(jnp.zeros(sum(sizes.values()), arrays[0].dtype))
@@ -174,8 +175,8 @@ def _product(g: ScalarGraph, matrix: Nodes, columns: Mapping[tuple[int, int], in
 
 
 def tangents_of(program: ScalarProgram, problem: Differentiated) -> tuple[Seeds, dict[str, int]]:
-    """The derivatives of a program's arguments by tangents: input node -> (tangent -> derivative); and the number of
-    tangents of each kind.
+    """The derivatives of a program's arguments with respect to tangents: input node -> (tangent -> derivative); and the
+    number of tangents for each kind.
     """
     g = program.graph
     widths: dict[str, int] = {}

@@ -1,4 +1,4 @@
-"""Systems made of systems."""
+"""Composition of systems."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def join(
     outputs: Mapping[str, ExprLike] | None = None,
     constraints: Mapping[str, Asked] | None = None,
 ) -> System:
-    """One system made of several, in which expressions of some systems replace controls and parameters of others.
+    """One system composed of several, in which expressions of some systems replace controls and parameters of others.
 
     With $x_i' = f_i(x_i, u_i)$ and a connection $u_2 = h(x_1, u_1)$ it is $x_1' = f_1(x_1, u_1)$,
     $x_2' = f_2(x_2, h(x_1, u_1))$. States, controls, parameters, outputs and constraints are those of the systems in
@@ -36,12 +36,12 @@ def join(
         connect: controls and parameters, by leaf or name, with the expressions of their shape that replace them,
             such as `{tug.force: engine.output("thrust")}`. These may depend on everything in the systems, including
             connected controls.
-        outputs: additional outputs, of states and leaves of all systems.
+        outputs: additional outputs, expressions of states and leaves of all systems.
         constraints: additional constraints by name.
     Raises:
         ModelError: a name in two systems; a connection to a leaf that is not a control or parameter; circular
-            connections, an algebraic loop, which is named.
-        ShapeError: an expression of another shape than the leaf that it replaces.
+            connections (an algebraic loop), which the message names.
+        ShapeError: an expression with another shape than the leaf that it replaces.
 
     An expression must have the unit of the leaf that it replaces. Source: P. Fritzson, Principles of Object-Oriented
     Modeling and Simulation with Modelica (2014), ch. 3, on directed connections.
@@ -66,7 +66,9 @@ def join(
     for family, new in further.items():
         for name, expr in new.items():
             if name in merged[family]:
-                raise ModelError(f"join: {family} has {name!r} twice.\n  fix: give the further one another name")
+                raise ModelError(
+                    f"join: {family} has {name!r} twice.\n  fix: pass the additional one with another name"
+                )
             merged[family][name] = exchanged(expr, exchange)
     lists: dict[str, Any] = {
         key: list({id(leaf): leaf for part in parts for leaf in part[key]}.values()) for key in _LISTS
@@ -149,8 +151,10 @@ def _resolved(links: Mapping[str, Expr], leaves: Mapping[str, Leaf]) -> dict[str
         pairs = itertools.pairwise(circle)
         lines = [f"  {name!r} = {links[name]!r}, which reads {other!r}" for name, other in pairs]
         raise ModelError(
-            "join closes an algebraic loop:\n" + "\n".join(lines) + "\n  fix: let one of these outputs read a state in "
-            "place of the control, such as that of an actuator, or solve the loop for one of them"
+            "join closes an algebraic loop:\n"
+            + "\n".join(lines)
+            + "\n  fix: make one of these outputs depend on a state in place of the control, such as the "
+            "state of an actuator, or solve the loop for one of them"
         ) from None
     exchange: dict[str, Expr] = {}
     for name in order:

@@ -1,4 +1,4 @@
-"""Names and units of the entries of states and controls, for pictures and tables."""
+"""Names and units of the entries of states and controls, for plots and tables."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Labels: TypeAlias = Mapping[Any, Iterable[Sequence[str]]]
 
 
 def checked_labels(labels: Labels | None, leaves: Iterable[Leaf]) -> dict[str, tuple[tuple[str, str], ...]]:
-    """The labels by name of a leaf. Raises ModelError for other names, numbers or kinds of entries."""
+    """The labels by name of a leaf. Raises ModelError for unknown names, or pairs of another number or type."""
     if labels is not None and not isinstance(labels, Mapping):
         raise ModelError(f"labels must be a dict from states and controls to pairs, got {type(labels).__name__}")
     known = {leaf.name: leaf for leaf in leaves}

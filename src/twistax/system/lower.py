@@ -1,4 +1,4 @@
-"""An expression as a function of JAX, without a system."""
+"""Lowering of expressions to JAX functions, without a system."""
 
 from __future__ import annotations
 
@@ -28,27 +28,27 @@ _COMPILED = range(200, 20_000)
 def lower(expr: Any) -> Lowered:
     """Turn an expression, or a tuple, list or dict of them, into a function `f(t, x, u, params)`.
 
-    The function is pure and not transformed: jit, grad, jacfwd, jacrev, hessian, vmap and scan apply. Outside of
-    these, an expression of 200 nodes and more is compiled at its first call; smaller ones are evaluated node by node.
-    x, u and params are dicts by leaf name; u and params may be omitted, and missing parameters take their default
-    value. x may have states that the expression does not depend on. Every distinct subtree is evaluated once.
-    The result has the precision of x.
+    The function is pure and not transformed: jit, grad, jacfwd, jacrev, hessian, vmap and scan apply. Outside of these,
+    an expression of 200 nodes or more is compiled at its first call; smaller ones are evaluated node by node. x, u and
+    params are dicts by leaf name. u and params are optional, and missing parameters have their default values. x may
+    have states that the expression does not depend on. Every distinct subtree is evaluated once. The result has the
+    precision of x.
 
     Returns:
         f(t, x, u=None, params=None) -> array, or a tuple, list or dict of arrays like `expr`.
 
     Raises:
         ShapeError: immediately, if a shape does not match.
-        ModelError: immediately, if there is nothing to lower, or two leaves of one name differ.
+        ModelError: immediately, if there is no expression, or if two leaves with one name differ.
         InputError: at call time, for an unknown control or parameter, a wrong shape or a missing value.
-        ModelError: during tracing, for a chain of more than 30,000 array operations, on which XLA ends the process.
+        ModelError: during tracing, for a chain of more than 30,000 array operations, which would make XLA crash.
     """
     wanted = "lower expects an expression, or a tuple, list or dict of them"
     if isinstance(expr, System):
         raise ModelError(f"{wanted}, got {expr!r}.\n  fix: tx.compile takes a System")
     roots, treedef = jax.tree_util.tree_flatten(expr, is_leaf=lambda node: isinstance(node, Expr))
     if not roots:
-        raise ModelError(f"{wanted}; there is nothing to lower in {expr!r}")
+        raise ModelError(f"{wanted}; there is no expression in {expr!r}")
     try:
         nodes = [to_expr(root) for root in roots]
     except ModelError as error:

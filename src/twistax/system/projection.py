@@ -1,4 +1,4 @@
-"""Projection of states to the manifold of a system, by its corrections."""
+"""Projection of states onto the manifold of a system, by its corrections."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _ROUND_OFF = 1e3
 
 
 def increments(functions: Functions, corrections: Arrays) -> jax.Array:
-    """The corrections of all states as one tangent vector; zeros for states without one."""
+    """The corrections of all states as one tangent vector; zeros for states without a correction."""
     dtype = next(iter(corrections.values())).dtype
     parts = [
         corrections[name].reshape(-1) if name in corrections else jnp.zeros(group.dimension, dtype)
@@ -46,5 +46,5 @@ def project(functions: Functions, t: Any, x: Values, u: Values | None, params: V
         return now
     raise InputError(
         f"project does not converge to the manifold from this state: its last step is {size:.3g}.\n"
-        "  fix: start nearer to one, such as a posture in which the loops are almost closed"
+        "  fix: start closer to the manifold, for example from a configuration in which the loops are almost closed"
     )

@@ -1,4 +1,4 @@
-"""Fleets: one system many times, on a leading axis of its arrays."""
+"""Fleets: many copies of one system, with a leading axis of copies."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ from .system import System
 
 
 def repeat(system: Any, count: Any, *, shared: Any = (), per_copy: Any = ()) -> System:
-    """A fleet: n copies of a system without interaction, as arrays with a leading axis n.
+    """A fleet: n copies of a system without interaction, as arrays with a leading axis of length n.
 
     $x_k' = f(t, x_k, u_k, p)$ for k = 0, ..., n - 1. States and controls of shape s become (n, *s). States on a group G
     become elements of $G^n$, (n, *shape), whose rates are the concatenated body velocities, (n d,). Outputs and
-    constraints have the leading axis too. The rates are one batched function: the program has the length of that
-    of one copy. Names are unchanged; `tx.join` connects a fleet to others, with entries such as `fleet.p[2]`.
+    constraints have the leading axis too. The rates are one batched function: the size of the program is that of one
+    copy. Names are unchanged; `tx.join` connects a fleet to others, with entries such as `fleet.p[2]`.
 
     Args:
         system: the system of one copy.
-        count: the number of copies, n.
+        count: the number n of copies.
         shared: names of controls that all copies have in common.
         per_copy: names of parameters that are separate for each copy, (n, *s); others are common to all.
     Raises:
@@ -42,7 +42,7 @@ def repeat(system: Any, count: Any, *, shared: Any = (), per_copy: Any = ()) -> 
             parameter.
 
     Units are those of the system. Source: R. Frostig, M. Johnson, C. Leary, Compiling machine learning programs via
-    high-level tracing (2018), of functions mapped over a leading axis.
+    high-level tracing (2018), on functions mapped over a leading axis.
 
     Example: `fleet = tx.repeat(quadrotor, 4)`; `tx.compile(fleet)(0.0, {"p": np.zeros((4, 3)), ...})`.
     """
@@ -155,12 +155,12 @@ def _many(leaf: Any, count: int) -> Leaf:
 def copies_in_a_kernel(
     emission: Emission, backend: Backend, roots: Mapping[str, Sequence[Expr]], traced: Callable[[], tuple[Any, Any]]
 ) -> Emission:
-    """How expressions run that would run as arrays: each batch of copies in them as a batch of one kernel.
+    """Execution of expressions with batches of copies as arrays, each batch as one kernel over the copies.
 
     Args:
-        emission: how the whole of them would run by the backend.
+        emission: how the backend would execute all of them.
         roots: the expressions by name.
-        traced: gives their function, traced anew, and the structure of its results.
+        traced: returns their function, traced again, and the structure of its results.
     """
     if emission.program is not None or not isinstance(backend, Native) or not installed():
         return emission

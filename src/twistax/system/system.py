@@ -1,4 +1,4 @@
-"""A system: states with their rates, outputs and constraints, checked as a whole when it is built."""
+"""The system class: states with their rates, outputs and constraints, checked at construction."""
 
 from __future__ import annotations
 
@@ -49,17 +49,18 @@ class System(Composable):
     """Dynamics $x' = f(t, x, u, p)$ on a product of Lie groups, with outputs and constraints.
 
     Args:
-        rates: the rate of every state; keys are the states or their names, in the order of tangent vectors.
-            The rate of a group-valued state is its body velocity, (3,) or (6,); that of another state has its shape.
+        rates: the rate of every state; keys are the states or their names, in the order of tangent vectors. The rate of
+            a group-valued state is its body velocity, (3,) or (6,); the rate of another state has the state's shape.
         outputs: named expressions that are computed on demand.
         constraints: constraints (`a <= b`, `a >= b`, `a == b`) or `Soft` ones: one, a list, or a mapping from names.
-        corrections: for states that the exact motion keeps on a manifold, such as one of closed loops: the increment
-            that projects them back, one Newton step; keys and shapes as of rates. `tx.integrate` adds it after every
+        corrections: for states whose exact motion stays on a manifold, such as that of closed loops: the increment of
+            one Newton step onto the manifold; keys and shapes are as in `rates`. `tx.integrate` applies it after every
             step, `Dynamics.project` iterates it.
-        controls, parameters: declare them to fix their order or to keep unused ones; by default they are collected.
-        labels: of states and controls, a pair of name and unit for each entry.
-        slopes: analytical derivatives of rates, for `Dynamics.jacobian`: for a state, pairs (argument, derivative).
-            The argument is a state, whose derivative is by right perturbations, or any vector; a dependence through
+        controls, parameters: declares them, to determine their order or to keep unused ones; by default they are
+            collected.
+        labels: by state or control, a pair of name and unit for each entry.
+        slopes: analytical derivatives of rates, for `Dynamics.jacobian`: for a state, pairs (argument, derivative). The
+            argument is a state, for a derivative with respect to right perturbations, or any vector; dependence through
             this argument is not differentiated again.
 
     Attributes:
@@ -67,12 +68,13 @@ class System(Composable):
         rates, outputs, constraints, corrections: mappings from name to expression.
         soft: mapping from the names of soft constraints to their `Soft`.
         slopes, labels: mappings from the name of a leaf to pairs as above.
-        group: the product group the state is on.
+        group: the product group of all states.
 
     Raises:
-        ModelError: a missing, unknown, duplicate or undeclared name; leaves of one name that differ; no expression.
-        ShapeError: a rate of the wrong shape, or a shape that does not fit inside an expression.
-        OrderError: a [v; w] quantity meets a [w; v] one.
+        ModelError: a missing, unknown, duplicate or undeclared name; different leaves with one name; a value that is
+            not an expression.
+        ShapeError: a rate of the wrong shape, or inconsistent shapes inside an expression.
+        OrderError: a [v; w] quantity is combined with a [w; v] quantity.
         KindError: values that must agree differ in their declared kind, frame or unit.
     """
 
@@ -141,7 +143,7 @@ class System(Composable):
         return f"System({', '.join(f'{kind}={[leaf.name for leaf in getattr(self, kind)]}' for kind in kinds)})"
 
     def latex(self) -> str:
-        """The equations in LaTeX, without dollar signs: the rate of a pose or rotation is its body velocity."""
+        """The equations in LaTeX, without dollar signs. The rate of a pose or rotation is its body velocity."""
         lines = []
         for state in self.states:
             left, rate = rf"\dot{{{state.latex()}}} &= ", self.rates[state.name].latex()
@@ -152,7 +154,7 @@ class System(Composable):
         return r"\begin{aligned} " + r" \\ ".join(lines) + r" \end{aligned}"
 
     def svg(self) -> Picture:
-        """The graphs of rates and outputs as one picture, the text of an SVG file, which notebooks show.
+        """The graphs of rates and outputs as one picture, the text of an SVG file, which notebooks display.
 
         Raises: ModelError for more than 300 nodes.
         """
@@ -195,13 +197,19 @@ class System(Composable):
             checked[name] = tuple((_expression(place, by), _expression(place, slope)) for by, slope in pairs_of_state)
             for by, slope in checked[name]:
                 if not isinstance(by, State) and by.ndim != 1:
-                    raise ShapeError(f"{place} expects derivatives by a state or a vector, got one by shape {by.shape}")
+                    raise ShapeError(
+                        f"{place} expects derivatives with respect to a state or a vector, got one with "
+                        f"respect to shape {by.shape}"
+                    )
                 for leaf in leaves_of(by, slope):
                     if isinstance(leaf, (State, Control, Parameter)) and leaf.name not in known:
                         raise ModelError(f"{place} reads {leaf.name!r}, which the system does not have")
                 wanted = (groups[name].dimension, groups[by.name].dimension if isinstance(by, State) else by.shape[0])
                 if slope.shape != wanted:
-                    raise ShapeError(f"{place} expects shape {wanted} by {short(by)}, got {slope.shape}")
+                    raise ShapeError(
+                        f"{place} expects shape {wanted} for the derivative with respect to {short(by)}, "
+                        f"got {slope.shape}"
+                    )
         return checked
 
     def _place(self, leaf: Leaf) -> str:
@@ -229,7 +237,7 @@ class System(Composable):
             if name not in names:
                 raise ModelError(
                     f"{kind.__name__} {name!r} is used but not declared.\n  at: {self._place(leaf)}\n"
-                    f"  fix: add it to {argument}=, or leave {argument}= out"
+                    f"  fix: add it to {argument}=, or leave out {argument}="
                 )
         return tuple(leaves.values())
 
@@ -282,7 +290,7 @@ def _check_rate(what: str, argument: str, state: State, rate: Expr) -> None:
     if rate.boolean:
         raise ModelError(
             f"the {what} of {state.name!r} is a condition, not a number.\n"
-            f"  at: {argument}[{state.name!r}] = {rate!r}\n  fix: choose between numbers with tx.Where"
+            f"  at: {argument}[{state.name!r}] = {rate!r}\n  fix: use tx.Where to select between numbers"
         )
     if rate.shape != wanted:
         kind = "of the state's shape" if state.group.flat else f"a body velocity on {state.group.name}"
@@ -303,7 +311,7 @@ def name_of(key: Any) -> str:
 
 
 def entry_names(name: str, shape: tuple[int, ...]) -> list[str]:
-    """The name of every entry, row by row: "h" of a scalar, "V[0]" and on of a vector, "J[0, 1]" of a matrix."""
+    """The name of every entry, row by row: "h" for a scalar, "V[0]", ... for a vector, "J[0, 1]" for a matrix."""
     return [f"{name}{list(at) if at else ''}" for at in np.ndindex(*shape)]
 
 
@@ -315,20 +323,21 @@ def _expression(place: str, value: ExprLike) -> Expr:
 
 
 def free_name(text: str, taken: Container[str]) -> str:
-    """The text, or the first of `text (2)`, `text (3)`, ... that is not taken."""
+    """The text, or the first of `text (2)`, `text (3)`, ... that is not in use."""
     numbered = itertools.chain([text], (f"{text} ({number})" for number in itertools.count(2)))
     return next(name for name in numbered if name not in taken)
 
 
 def constraints_by_name(constraints: Asked | Iterable[Asked] | Mapping[str, Asked]) -> dict[str, Asked]:
-    """Constraints with names: those of a mapping, or their texts; sets of constraints as their parts.
+    """Constraints by name: those of a mapping, or with their texts as names; sets of constraints are split into their
+    parts.
 
-    Raises ModelError for what is no constraint.
+    Raises ModelError for objects that are not constraints.
     """
     if isinstance(constraints, Mapping):
         named = dict(constraints)
     elif not isinstance(constraints, (Iterable, Soft, ConstraintSet)):
-        raise ModelError(f"constraints must be a constraint, a list or a dict of them, got {constraints!r}")
+        raise ModelError(f"constraints expects a constraint, a list or a dict of constraints, got {constraints!r}")
     else:
         named = {}
         for constraint in [constraints] if isinstance(constraints, (Expr, Soft, ConstraintSet)) else constraints:
@@ -361,16 +370,18 @@ def _states(rates: Mapping[State | str, ExprLike], used: Sequence[Leaf]) -> tupl
         if name not in known:
             raise ModelError(
                 f"rates names {name!r}, but no State of that name is used.\n"
-                f"  fix: give the State itself as the key; known are {listed(sorted(known), name)}"
+                f"  fix: use the State itself as the key; known are {listed(sorted(known), name)}"
             )
         if name in states:
             first = next(other for other in rates if name_of(other) == name)
             if isinstance(first, State) and isinstance(key, State):
                 raise ModelError(
-                    f"two States named {name!r} have rates.\n  fix: names are unique within a system; rename one "
+                    f"two States named {name!r} have rates.\n  fix: use unique names within a system, and rename one "
                     "(the states of a joint are named after the joint)"
                 )
-            raise ModelError(f"the rate of {name!r} is given twice.\n  fix: one key a state: the State or its name")
+            raise ModelError(
+                f"rates contains {name!r} twice.\n  fix: use one key for each state, the State or its name"
+            )
         states[name] = known[name]
     return tuple(states.values())
 

@@ -1,6 +1,6 @@
-"""Laws that every group, joint, node, tableau and scene keeps, for checks of custom parts.
+"""Conformance tests for custom groups, joints, nodes, tableaus and scenes: the laws that each must satisfy.
 
-The test suite of this package runs the same functions over everything that it has.
+The test suite of this package applies the same functions to all of its parts.
 """
 
 from .groups import check_group

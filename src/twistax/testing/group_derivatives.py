@@ -1,4 +1,4 @@
-"""The laws of a group's derivatives, and of single precision."""
+"""The laws of a group's derivatives, and of its accuracy in single precision."""
 
 from __future__ import annotations
 
@@ -43,7 +43,9 @@ def _smooth(group: Group, a: Any, b: Any) -> dict[str, Any]:
 
 
 def check_derivatives(check: Check, group: Group, samples: Sequence[Sample]) -> None:
-    """First and second derivatives along a line: forward, reverse, and by differences. Raises LawError."""
+    """First and second derivatives along a line: forward, reverse, and by differences. Raises LawError for a
+    violation.
+    """
     places, bending = _places(group, _smooth), _places(group, _in_steps)
     stacked = [np.stack([getattr(sample, name) for sample in samples]) for name in "dfe"]
     across = np.random.default_rng(1).normal(size=max(place.stop for place in places.values()))
@@ -120,7 +122,9 @@ def _check_one(
 
 
 def check_single_precision(check: Check, group: Group, seed: int) -> None:
-    """The maps in single precision against those in double, near zero and with lengths of an orbit. Raises LawError."""
+    """The maps in single precision against those in double precision, near zero and with lengths of an orbit. Raises
+    LawError for a violation.
+    """
     rng, n = np.random.default_rng(seed + 1), group.dimension
     draw = lambda: rng.uniform(-1.0, 1.0, n)  # noqa: E731
     drawn = {"zero": 0.0 * draw(), "1e-4": 1e-4 * draw(), "1e-3": 1e-3 * draw(), "1e-2": 1e-2 * draw()}

@@ -1,4 +1,4 @@
-"""Tangents that the laws of a group are tried at."""
+"""Tangents at which the laws of a group are tested."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..groups import Group
 
 @dataclasses.dataclass(frozen=True)
 class Sample:
-    """Three tangents, and whether the logarithm must give the first again."""
+    """Three tangents, and whether the logarithm must return the first one."""
 
     label: str
     d: np.ndarray
@@ -22,12 +22,12 @@ class Sample:
 
     @property
     def at(self) -> dict[str, Any]:
-        """What messages say of it."""
+        """Its text in messages."""
         return {f"d ({self.label})": self.d, "e": self.e}
 
 
 def turned(group: Group, d: np.ndarray, turn: float) -> np.ndarray:
-    """The tangent with the entries that are no lengths made so long together."""
+    """The tangent whose entries that are not lengths are scaled to this joint norm."""
     natural = ~(group.sized | group.flat)
     length = np.linalg.norm(d[natural])
     return np.where(natural, d * (turn / length), d) if length > 0.0 else d

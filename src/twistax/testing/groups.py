@@ -1,4 +1,4 @@
-"""The laws of a Lie group of states, by its own maps: what holds between them.
+"""The laws of a Lie group of states: relations between its maps.
 
 Sources: J. Sola, J. Deray, D. Atchuthan, A micro Lie theory for state estimation in robotics (2018), for Ad, ad and the
 Jacobians; the series of the Jacobians is in W. Rossmann, Lie Groups (2002), section 1.2.
@@ -39,9 +39,9 @@ def check_group(group: Group, *, seed: int = 0) -> None:
 
     Args:
         group: an instance, such as `MyGroup()`.
-        seed: of the random numbers.
+        seed: seed of the random numbers.
     Raises:
-        LawError: a law is violated. The message names it, the values and the likely cause.
+        LawError: a law is violated. The message names the law, the values and the likely cause.
         InputError: `group` is not a group.
     Source: J. Sola, J. Deray, D. Atchuthan, A micro Lie theory for state estimation in robotics (2018).
     Example: `tx.testing.check_group(tx.SE3)`.
@@ -69,7 +69,7 @@ def check_group(group: Group, *, seed: int = 0) -> None:
 
 
 def samples(group: Group, seed: int) -> list[Sample]:
-    """Tangents of zero, tiny and ordinary size, along a single entry, and about half a turn long."""
+    """Tangents that are zero, tiny and of size one, along a single entry, and about half a turn long."""
     rng, n = np.random.default_rng(seed), group.dimension
     draw = lambda: rng.uniform(-1.0, 1.0, n)  # noqa: E731
     sizes = {"zero": 0.0, "1e-12": 1e-12, "1e-6": 1e-6, "1e-3": 1e-3, "ordinary": 1.0}

@@ -1,4 +1,4 @@
-"""The laws of a joint: its pose belongs to its motion subspace, and its three subspaces to each other."""
+"""The laws of a joint: relations between its pose and its motion subspace, and between its three subspaces."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ def check_joint(joint: Joint, *, at_zero: Any = None, seed: int = 0) -> None:
 
     Args:
         joint: an instance, such as `MyJoint("j", axis=(0.0, 0.0, 1.0))`, whose Parameters have values.
-        at_zero: $T_pc$ (4, 4) where the position is zero; the identity by default.
-        seed: of the random numbers.
+        at_zero: the pose $T_pc$ (4, 4) at the zero position; the identity by default.
+        seed: seed of the random numbers.
     Raises:
-        LawError: a law is violated. The message names it, the values and the likely cause.
+        LawError: a law is violated. The message names the law, the values and the likely cause.
         InputError: `joint` is not a joint.
     Source: R. Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 3.
     Example: `tx.testing.check_joint(tx.mechanics.joints.Planar("table"))`.

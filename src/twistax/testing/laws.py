@@ -1,4 +1,4 @@
-"""Messages of violated laws: which law, of what, at which values, by how much, and the fix."""
+"""Messages of violated laws: the law, the tested object, the values, the size of the violation, and a remedy."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ STEP = 1e-3
 
 
 class LawError(TwistaxError, AssertionError):
-    """A group, joint, node, tableau or scene violates a law. The message names the law, the values, what is expected
-    and the fix.
+    """A group, joint, node, tableau or scene violates a law. The message names the law, the values, the expected result
+    and a remedy.
 
     Attributes:
-        law: the law in a few words.
+        law: a short text of the law.
     """
 
     page = "docs/extending.md#checking-a-part"
@@ -29,7 +29,7 @@ class LawError(TwistaxError, AssertionError):
 
 
 class Check:
-    """Comparisons for one part; what fails raises LawError."""
+    """Comparisons for one tested object; a failed one raises LawError."""
 
     def __init__(self, subject: str) -> None:
         self.subject = subject
@@ -67,7 +67,9 @@ class Check:
 
     @contextlib.contextmanager
     def running(self, law: str, fix: str) -> Iterator[None]:
-        """Errors of the part itself while a law is evaluated, as LawError from them."""
+        """A context in which errors of the tested object, while a law is evaluated, are raised as causes of a
+        LawError.
+        """
         try:
             yield
         except LawError:
@@ -86,11 +88,13 @@ def _shown(value: Any) -> str:
 
 
 def flat(tree: Any) -> jax.Array:
-    """All numbers of a pytree in one vector."""
+    """All numbers of a pytree as one vector."""
     leaves = [leaf.reshape(-1) for leaf in jax.tree.leaves(tree)]
     return jax.numpy.concatenate(leaves) if leaves else jax.numpy.zeros(0)
 
 
 def difference_quotient(values: Any, step: float = STEP) -> np.ndarray:
-    """The derivative at 0 of values at the multiples of a step in STENCIL, in its order; off by step^4 or so."""
+    """The derivative at 0 from values at the multiples of a step in STENCIL, in its order; its error is of the order of
+    step^4.
+    """
     return np.asarray(np.tensordot(list(STENCIL.values()), np.asarray(values), 1) / step)

@@ -1,4 +1,4 @@
-"""The laws of a node class, on the cases that it gives."""
+"""The laws of a node class, tested on the examples that it declares."""
 
 from __future__ import annotations
 
@@ -34,13 +34,14 @@ def check_node(node_class: type[Expr]) -> None:
     Args:
         node_class: a subclass of `Expr` with `cases`.
     Raises:
-        LawError: a law is violated, or there are no cases. The message names it, the values and the likely cause.
-        InputError: `node_class` is not a class of nodes.
+        LawError: a law is violated, or there are no examples. The message names the law, the values and the likely
+            cause.
+        InputError: `node_class` is not a node class.
     Example: `tx.testing.check_node(tx.Sin)`.
     """
     if not (isinstance(node_class, type) and issubclass(node_class, Expr)):
         hint = f".\n  fix: give the class, {type(node_class).__name__}" if isinstance(node_class, Expr) else ""
-        raise InputError(f"check_node expects a class of nodes such as tx.Sin, got {node_class!r}{hint}")
+        raise InputError(f"check_node expects a node class such as tx.Sin, got {node_class!r}{hint}")
     with jax.enable_x64(True):
         for case in cases_of(node_class):
             for law in LAWS:
@@ -72,7 +73,7 @@ class Case:
 
     @property
     def check(self) -> Check:
-        """Comparisons that name the class and the case."""
+        """Comparisons whose messages name the class and the example."""
         return Check(f"{self.node.__name__}, case {self.number}: {self.example.expr!r},")
 
     def built_again(self) -> Expr:
@@ -91,7 +92,7 @@ class Case:
 
 
 def cases_of(node_class: type[Expr]) -> list[Case]:
-    """The cases of a class. Raises LawError where there are none, or none with a node of the class."""
+    """The examples of a class. Raises LawError if there are none, or if one contains no node of the class."""
     check, law = Check(node_class.__name__), "a node class has cases"
     fix = 'give the class cases = ({"a": [1.0, 2.0]},), values by the names of its operands'
     with check.running(law, fix):
@@ -134,7 +135,9 @@ def _compiled(case: Case) -> Callable[..., dict[str, jax.Array]]:
 
 
 def values_and_derivatives(case: Case) -> None:
-    """jit = eager, vmap = single call, jvp = vjp = differences, float32 = float64; canonicalize keeps the value."""
+    """jit = eager, vmap = single call, jvp = vjp = differences, float32 = float64; `canonicalize` preserves the
+    value.
+    """
     expr, check = case.example.expr, case.check
     point, _ = case.flat()
     at = case.values
@@ -182,7 +185,7 @@ def _single_precision(case: Case, results: Mapping[str, np.ndarray]) -> None:
 
 
 def shape_and_precision(case: Case) -> None:
-    """The inferred shape is the traced one; float32 stays float32 although x64 is on."""
+    """The inferred shape is that of the traced value; float32 values remain float32 with x64 enabled."""
     expr, check = case.example.expr, case.check
     for dtype in (jnp.float64, jnp.float32):
         structs = {name: jax.ShapeDtypeStruct(value.shape, dtype) for name, value in case.values.items()}
@@ -201,7 +204,7 @@ def shape_and_precision(case: Case) -> None:
 
 
 def canonical_form(case: Case) -> None:
-    """Its shape is that of the node, its own canonical form is itself, and equal trees have equal ones."""
+    """Its shape is that of the node, it is its own canonical form, and equal trees have equal canonical forms."""
     expr, check, fix = case.example.expr, case.check, "look at simplify"
     canonical = expr.canonicalize()
     message = f"{canonical!r} has shape {canonical.check_shape()}"
@@ -238,7 +241,7 @@ def structure_and_printing(case: Case) -> None:
 
 
 def immutability(case: Case) -> None:
-    """Nothing can be assigned or deleted, and a node has no truth value."""
+    """Fields cannot be assigned or deleted, and a node has no truth value."""
     expr, check = case.example.expr, case.check
     fix = "leave __setattr__, __delattr__ and __bool__ as Expr has them"
     for name in [*([field.name for field in type(expr)._fields] or ["name"]), "anything"]:
@@ -257,7 +260,7 @@ def _raises(call: Callable[[], Any], error: type[Exception]) -> bool:
 
 
 def rule_of_kinds(case: Case) -> None:
-    """The class says what it makes of kinds, frames and units."""
+    """The class declares a rule for kinds, frames and units."""
     fix = "name one: kinds = tx.kinds.OPEN says nothing, tx.kinds.FixedUnits(takes, gives) has units"
     case.check.holds("a node states a rule of kinds", case.node.kinds is not None, "kinds is None", fix)
 
@@ -274,7 +277,7 @@ LAWS: tuple[Callable[[Case], None], ...] = (
 
 
 def shapes_are_checked(node_class: type[Expr]) -> bool:
-    """Whether some shapes of operands are refused; LawError where that is by another error than ShapeError."""
+    """Whether some shapes of operands are rejected; LawError if the error is not a ShapeError."""
     rng, refused = np.random.default_rng(0), False
     shapes = [(), (2,), (3,), (2, 3), (5, 5), (2, 5, 7)]
     check, fix = Check(node_class.__name__), "look at infer_shape: raise tx.ShapeError(sentence, hint=...)"

@@ -1,4 +1,4 @@
-"""The laws of a scene: its start, its truth and its equations are of one motion."""
+"""The laws of a scene: its initial state, its exact solution and its equations describe the same motion."""
 
 from __future__ import annotations
 
@@ -19,16 +19,15 @@ def check_scene(scene: Any, *, stiff: bool = False, tolerance: float = 1e-8, **o
 
     It checks that start, end, params and invariants have the names and shapes of the system, and that elements are in
     their groups; that a closed form begins at the start and has the rates of the system, $x'(t) = f(t, x(t))$, at times
-    in between; that invariants are conserved by an integration, and that this ends at the exact solution, in the
-    scene's units.
+    in between; that an integration conserves the invariants, and ends at the exact solution, in the scene's units.
 
     Args:
         scene: a `twistax.scenes.Scene`.
-        stiff: integrate by Radau IIA 9 in place of DOP853.
-        tolerance: of the final state, as `scene.error` measures, and of invariants relative to their size.
-        options: of `scene.integrate`; rtol = atol = 1e-10 by default.
+        stiff: whether to integrate by Radau IIA 9 in place of DOP853.
+        tolerance: tolerance of the final state, as measured by `scene.error`, and of invariants relative to their size.
+        options: options of `scene.integrate`; rtol = atol = 1e-10 by default.
     Raises:
-        LawError: a law is violated. The message names it, the values and the likely cause.
+        LawError: a law is violated. The message names the law, the values and the likely cause.
         InputError: `scene` is not a scene.
     Example: `tx.testing.check_scene(SCENES["euler-top"])`.
     """

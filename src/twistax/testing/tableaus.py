@@ -1,4 +1,4 @@
-"""The order conditions of a tableau, and the order with which its method converges.
+"""The order conditions of a tableau, and the order of convergence of its method.
 
 Source: E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I (1993), section II.2.
 """
@@ -32,12 +32,13 @@ _LARGEST = 9
 
 
 def check_tableau(tableau: ButcherTableau | CollocationTableau | CommutatorFreeTableau) -> None:
-    """Check that a tableau has its declared order, for numbers and on a group.
+    """Check that a tableau has its declared order, by its order conditions and by an integration on a group.
 
-    For a Runge-Kutta tableau with $c = A 1$ every rooted tree t of at most `order` nodes must satisfy $sum_i b_i
-    Phi_i(t) = 1/gamma(t)$, and likewise for its embedded solution; for a commutator-free one this applies to its
-    underlying tableau. Orders above 9 are checked up to 9. Then its method integrates a rotating body, R' = R hat(w(t,
-    R)) in rad/s, with halved steps, and must converge with that order, up to 0.25, while errors are above round-off.
+    For a Runge-Kutta tableau with $c = A 1$, every rooted tree t with at most `order` nodes must satisfy $sum_i b_i
+    Phi_i(t) = 1/gamma(t)$; so must the embedded solution. For a commutator-free tableau this applies to its underlying
+    tableau. Orders above 9 are checked up to 9. Then the method integrates a rotating body, R' = R hat(w(t, R)) in
+    rad/s, with successively halved steps, and must converge with that order, up to 0.25, while errors are above
+    round-off.
 
     Args:
         tableau: a `ButcherTableau`, a `CollocationTableau` or a `CommutatorFreeTableau` with coefficients a (s, s).
@@ -127,7 +128,7 @@ def _turning() -> Dynamics:
 
 
 def fitted_order(method: Method, order: int) -> float:
-    """The order with which steps of a method converge: by the last errors above round-off; NaN where there are none."""
+    """The order of convergence of a method, from the last errors above round-off; NaN if there are none."""
     start = {"R": so3.exp(np.array([0.3, -0.4, 0.2]))}
 
     def end(steps: int) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Trajectories: linearisation and discretisation in the tangent space, optimal control, replay."""
+"""Trajectory optimisation: linearisation and discretisation in the tangent space, optimal control, replay."""
 
 from ..linear import Discretization, Linearization, discretize, linearize
 from ..progress import Progress
@@ -12,7 +12,7 @@ from .problem.controls import Held, Linear, Rate, Spline
 from .problem.functionals import Initial, Integral, Maximum, Minimum
 from .problem.phase import Phase
 from .problem.problem import Problem
-from .problem.statement import Maximize as Maximize  # tx.Maximize and tx.Minimize are their home
+from .problem.statement import Maximize as Maximize  # the public names are tx.Maximize and tx.Minimize
 from .problem.statement import Minimize as Minimize
 from .problem.statement import Objective
 from .result.many import PhasedResults, TrajectoryResults

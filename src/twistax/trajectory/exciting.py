@@ -1,4 +1,4 @@
-"""Exciting motions: the motion within limits from which the parameters of a mechanism are identified best."""
+"""Exciting trajectories: motions within limits that are optimal for the identification of a mechanism's parameters."""
 
 from __future__ import annotations
 
@@ -30,7 +30,8 @@ from .problem.problem import Problem
 from .problem.statement import Minimize
 
 Array = NDArray[np.float64]
-#: Nodes in the period of the fastest harmonic, random motions that are tried, and the part of the limits they take.
+#: The number of nodes per period of the fastest harmonic, the number of random motions that are tried, and the fraction
+#: of the limits that these use.
 _NODES, _TRIED, _PART = 10, 20, 0.9
 
 
@@ -47,38 +48,39 @@ def exciting_problem(
     nodes: int | None = None,
     seed: int = 0,
 ) -> Problem:
-    """The problem of the periodic motion from which parameters of a mechanism are identified best.
+    """The problem of the optimal periodic motion for the identification of a mechanism's parameters.
 
-    Joints follow Fourier series, see `tx.mechanics.fourier_motion`, and begin and end at rest. With the regressor
-    $Y_b$ of the base parameters, in parts of their sizes as in `tx.mechanics.identify`, and K samples at equal
-    distances, the information of a sample is
+    Joints follow Fourier series, see `tx.mechanics.fourier_motion`, and start and end at rest. Let $Y_b$ be the
+    regressor of the base parameters, scaled by their sizes as in `tx.mechanics.identify`, and K the number of samples
+    at equal distances. The average information matrix of a sample is
 
-        $F = 1 / K sum Y_b^T Sigma^-1 Y_b$,  and $1 / 2 log(tr F^-1 / r)$ is minimised,
+        $F = 1 / K sum Y_b^T Sigma^-1 Y_b$, and the problem minimises $1 / 2 log(tr F^-1 / r)$,
 
-    the logarithm of the root mean square of the r standard deviations. They are those of the Cramer-Rao bound of one
-    sample; N samples have $1 / sqrt(N)$ of them. The sum of the inverse eigenvalues of F is at most r times that of
-    the least one, and at least as large. Limits of position, speed and motors hold at the nodes.
+    the logarithm of the root mean square of the r standard deviations. The standard deviations are the Cramer-Rao bound
+    of one sample; for N samples they are smaller by the factor $1 / sqrt(N)$. The sum of the inverse eigenvalues of F
+    is at least the inverse of the smallest eigenvalue, and at most r times that. Limits of position, speed and motors
+    hold at the nodes.
 
     The unknowns are the Parameter "coefficients" (n, 2 N + 1). The guess is the best of 20 random motions. Optima are
-    local, and second derivatives come from updates: a hundred iterations reach most of the gain.
+    local, and second derivatives are quasi-Newton approximations: a hundred iterations achieve most of the improvement.
 
     Source: J. Swevers, C. Ganseman, D. Tukel, J. De Schutter, H. Van Brussel, Optimal Robot Excitation and
     Identification, IEEE Transactions on Robotics and Automation 13 (1997).
 
     Args:
-        mechanism: a tree whose joints have numbers for positions and all have motors. Each joint has limits of its
-            position, or of its speed; one without a limit of its speed also has one of its motor.
+        mechanism: a tree whose joints all have motors and numbers as positions. Each joint has limits of its position,
+            or of its speed; a joint without a speed limit also needs a limit of its motor's speed.
         period: s, positive.
-        harmonics: N, at least 2, of the period.
-        links, drives: which parameters are unknown, as in `tx.mechanics.identify`.
-        noise: standard deviation of the joint forces, () or (n,), N or N m; 1 by default.
+        harmonics: the number N of harmonics of the period, at least 2.
+        links, drives: the links and drives whose parameters are unknown, as in `tx.mechanics.identify`.
+        noise: standard deviation of the joint forces, () or (n,), in N or N m; 1 by default.
         size: (kg, m) of typical bodies, as in `tx.mechanics.identify`.
-        nodes: where limits and samples are, 10 N + 1 by default.
-        seed: of the random motions.
-    Returns: a `Problem`; `fourier_motion(result.params["coefficients"], period, times)` is the motion of its result.
+        nodes: the number of nodes, at which limits are imposed and samples taken; 10 N + 1 by default.
+        seed: seed of the random motions.
+    Returns: a `Problem`. The motion of its result is `fourier_motion(result.params["coefficients"], period, times)`.
     Raises:
         ModelError: a joint on a group, without limits or without a motor; a mechanism with loops or without a moving
-            joint; unknown links or drives; parameters without a size.
+            joint; unknown links or drives; parameters whose size is not known.
         InputError: a noise or a size that is not positive.
 
     Example: `exciting_problem(arm, period=10.0).solve(max_iterations=100)`
@@ -97,7 +99,7 @@ def exciting_problem(
     level = Parameter("logarithm of the deviation", value=value)
     w, t = frequencies(period, harmonics), Time()
     q, qd, qdd = (coefficients @ r for r in fourier_rows(w, Sin(t * w), Cos(t * w), Constant(np.ones(1)), Concat))
-    still = State("still")  # a system has a state
+    still = State("still")  # a system needs a state
     dynamics = compiled(System(rates={still: 0.0 * still}, constraints=_limits(mechanism, q, qd, qdd)))
     return Problem(
         dynamics,
@@ -121,7 +123,7 @@ def _deviation(
     period: float,
     times: Array,
 ) -> Callable[[Any], jax.Array]:
-    """The logarithm of the root mean square deviation as a function of coefficients (n, 2 N + 1)."""
+    """The logarithm of the root mean square standard deviation as a function of coefficients (n, 2 N + 1)."""
     owner, stacked = "exciting_problem", StackedRegressor.of(mechanism, DRIVE)
     unknown = np.flatnonzero(stacked.unknown(owner, links, drives))
     names = [stacked.names[i] for i in unknown]
@@ -144,7 +146,7 @@ def _deviation(
         F, _ = jax.lax.scan(add, jnp.zeros((base.rank, base.rank), coefficients.dtype), jnp.asarray(rows))
         return 0.5 * jnp.log(jnp.trace(jnp.linalg.inv(F)) / base.rank)
 
-    # Forward derivatives of many coefficients cost as much as the reverse one here.
+    # Forward derivatives with respect to many coefficients cost as much as the reverse derivative here.
     result = jax.custom_jvp(deviation)
 
     @result.defjvp
@@ -156,12 +158,12 @@ def _deviation(
 
 
 def _room(mechanism: Mechanism) -> tuple[Array, Array, Array]:
-    """The middle of the positions of each joint, its amplitude and its speed; infinite without a limit."""
+    """The middle position, the amplitude and the speed limit of each joint; infinite without a limit."""
     owner, n = "exciting_problem", mechanism.dofs
     instance(f"{owner}: mechanism", mechanism, Mechanism, "a Mechanism", ModelError)
     if not isinstance(mechanism.q, State) or not n:
         raise ModelError(
-            f"{owner} expects joints that move and have numbers for positions, got {mechanism!r}.\n"
+            f"{owner} expects moving joints whose positions are numbers, got {mechanism!r}.\n"
             "  fix: lock({joint: position}) of free and spherical joints"
         )
     if still := [joint for joint in mechanism.joints if joint not in mechanism.driven]:
@@ -172,9 +174,10 @@ def _room(mechanism: Mechanism) -> tuple[Array, Array, Array]:
     open_ended = ~np.isfinite(speed) & ~(bounded & np.isfinite(effort))
     if open_ended.any():
         raise ModelError(
-            f"{owner}: {listed([j for j, is_open in zip(mechanism.joints, open_ended) if is_open])} may move as far "
-            "or as fast as it likes, so no motion is the best.\n"
-            "  fix: Drive(speed=...), or Drive(lower=..., upper=..., effort=...)"
+            f"{owner}: no limit of position or speed for "
+            f"{listed([j for j, is_open in zip(mechanism.joints, open_ended) if is_open])}, "
+            "so no motion is optimal.\n"
+            "  fix: pass Drive(speed=...), or Drive(lower=..., upper=..., effort=...)"
         )
     low, high = np.where(bounded, (low, high), 0.0)
     return 0.5 * (low + high), np.where(bounded, 0.5 * (high - low), np.inf), speed
@@ -196,13 +199,13 @@ def _limits(mechanism: Mechanism, q: Expr, qd: Expr, qdd: Expr) -> dict[str, Any
 def _guess(
     loss: Callable[[Any], jax.Array], center: Array, amplitude: Array, speed: Array, series: Any, seed: int
 ) -> tuple[Array, float]:
-    """The coefficients of the best of some random motions within limits of position and speed, and its loss."""
+    """The coefficients of the best of several random motions within limits of position and speed, and its objective."""
     period, harmonics, times = series
     rng, deviation, k = np.random.default_rng(seed), jax.jit(loss), np.arange(1.0, harmonics + 1.0)
     tried = list[tuple[float, Array]]()
     for _ in range(_TRIED):
         a, b = rng.normal(size=(2, len(center), harmonics))
-        a -= a.mean(axis=1, keepdims=True)  # at rest at the ends, and without acceleration
+        a -= a.mean(axis=1, keepdims=True)  # at rest at both ends, without acceleration
         b -= np.outer(b @ k, k) / (k @ k)
         C = np.column_stack([0.0 * center, a, b])
         motion = fourier_motion(C, period, times)

@@ -1,4 +1,4 @@
-"""Units of the unknowns, the rows and the objective of a staged problem, from its derivatives at a start."""
+"""Units of the unknowns, rows and objective of a staged problem, from its derivatives at a start."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ from .transcription.evaluation import Evaluated, moved
 from .transcription.iterate import Iterate
 from .transcription.staged import Staged
 
-#: Entries of rotation matrices that differ by more are of another attitude.
+#: Rotation matrices whose entries differ by more represent different attitudes.
 _TURNED = 0.5
-#: Limited controls move the state that is hardest to move by so many of its sizes in least time, of a double integrator
-#: by 8, of a single one by 2. Durations in which they move it by more than `_RESERVE` are fitted to `_FITTING`.
+#: In minimum time, limited controls move the least controllable state by this multiple of its size: 8 for a double
+#: integrator, 2 for a single one. Durations in which they can move it by more than `_RESERVE` are reduced to
+#: `_FITTING`.
 _FITTING, _RESERVE = 16.0, 100.0
 
 
@@ -22,17 +23,17 @@ class StartUnits:
     """Units for the solver's core, measured at a start.
 
     Args:
-        limits: (g, 2) of the shared unknowns, where durations may be far too long.
-        before: units of the steps that led to the start; less than their rounding is zero.
-        with_rows: whether those of rows are measured.
+        limits: (g, 2) limits of the shared unknowns; their durations may be far too long.
+        before: the units of the steps that led to the start; values below their round-off are zero.
+        with_rows: whether to measure the units of rows.
 
     Attributes:
-        parts: sizes of states, controls and shared unknowns, of each phase.
-        v: of all variables.
-        rows, equalities, cost: of the rows and the objective; empty where rows are not measured.
+        parts: sizes of states, controls and shared unknowns, for each phase.
+        v: units of all variables.
+        rows, equalities, cost: units of the rows and of the objective; empty if rows are not measured.
     """
 
-    @np.errstate(all="ignore")  # far from a trajectory numbers may be of any size
+    @np.errstate(all="ignore")  # far from a feasible trajectory numbers may have any size
     def __init__(
         self,
         staged: Staged,
@@ -59,7 +60,7 @@ class StartUnits:
             self.measure_rows(staged)
         steps = self._followed(at)
         change_of_cost = np.abs(at.gradient) @ steps + 0.5 * at.curvatures(at.H, at.by_run(steps)).sum()
-        if not change_of_cost > 0.0:  # no slope and no curvature there: what a whole move changes
+        if not change_of_cost > 0.0:  # if gradient and curvature vanish there: the change under a whole move
             step = np.random.default_rng(0).uniform(0.5, 1.0, len(self.v)) * self.v
             there = Evaluated(staged.transcription, moved(staged.transcription, self._staged_at[0], step))
             change_of_cost = abs(there.cost[0] - at.cost[0])
@@ -72,7 +73,9 @@ class StartUnits:
 
     @np.errstate(all="ignore")
     def measure_rows(self, staged: Staged) -> None:
-        """Measure rows: by how much a move of all unknowns by their units changes inequalities and equalities."""
+        """Measure the units of rows: the changes of inequalities and equalities under moves of all unknowns by their
+        units.
+        """
         at, self._at = self._at, None
         assert at is not None
         of_stages = at.by_run(self.v)
@@ -92,7 +95,7 @@ class StartUnits:
                 self.rows[at_row] = np.minimum(self.rows[at_row], unit)
 
     def _followed(self, at: Evaluated) -> Array:
-        """Moves by the units, shorter where a state at the end of the interval moves by more than its unit."""
+        """Moves by the units, reduced if a state at the end of the interval would move by more than its unit."""
         stages, steps = at.stages, self.v.copy()
         for run, F in at.batches(at.F, stages.after):
             count, width = run.stop - run.start, stages.columns[run.start] - stages.parameters
@@ -106,18 +109,19 @@ class StartUnits:
         return steps
 
     def fitted_durations(self, staged: Staged, point: Iterate, limits: Array) -> Array:
-        """Shared unknowns of the start, with durations that are long enough for the limited controls."""
+        """The shared unknowns of the start, with durations that are long enough for the limited controls."""
         return self._fitted(staged, point, limits, self._first)[0]
 
     def _fitted(self, staged: Staged, point: Iterate, limits: Array, parts: list[Sizes]) -> tuple[Array, list[Sizes]]:
-        """Durations in which limited controls can move the states as far as required, and sizes for them.
+        """Durations in which limited controls can move the states as far as required, and the sizes for these
+        durations.
 
-        A guess of a duration may be thousands of times too long. What controls do to states over such a time says
-        nothing of the states of a trajectory, so free durations are halved until it fits.
+        The guess of a duration may be thousands of times too long. The effect of controls over such a time is not
+        representative, so free durations are halved until they fit.
 
         Args:
-            limits: (g, 2) of the shared unknowns.
-            parts: sizes at the durations of the point.
+            limits: (g, 2) limits of the shared unknowns.
+            parts: sizes for the durations of the point.
         """
         border, (low, high), durations = staged.border, np.array(limits).T, np.asarray(point.border)
         free = border.free & (np.arange(border.size) < border.phases) & (low < high)
@@ -132,7 +136,7 @@ class StartUnits:
         return durations, parts
 
     def distance(self, other: StartUnits) -> float:
-        """The largest |log| of a ratio of corresponding units of the objective, the states and the controls that move
+        """The largest |log| of a ratio of corresponding units of the objective, the states and the controls that affect
         them.
         """
         ratios = [np.ravel(self.cost / other.cost)]
@@ -141,13 +145,15 @@ class StartUnits:
         return float(np.abs(np.log(np.concatenate(ratios))).max(initial=0.0))
 
     def fit(self, staged: Staged, point: Iterate) -> bool:
-        """Whether every unknown of a point is within its unit of the start at which the units were measured."""
+        """Whether every unknown of a point differs by less than its unit from the start at which the units were
+        measured.
+        """
         (z, v), there = self._staged_at, staged.flat(point)
         moved = np.abs(staged.coordinates(there) - v) <= self.v
         return bool(moved.all() and (np.abs(there - z)[staged.curved] <= _TURNED).all())
 
     def become_one(self) -> None:
-        """Use the units of the statement: 1 for everything."""
+        """Use the units of the statement, that is 1 for everything."""
         ones = [np.ones_like(a) for a in (self.border, self.v, self.rows, self.equalities)]
         self.border, self.v, self.rows, self.equalities = ones
         self.parts = [sizes.of_one() for sizes in self.parts]
@@ -156,7 +162,7 @@ class StartUnits:
     def _measured(
         self, staged: Staged, point: Iterate, at: Evaluated, is_good: bool = True, with_reserve: bool = True
     ) -> list[Sizes]:
-        """Sizes of each phase; without derivatives those that the point and the leaves tell."""
+        """The sizes for each phase; without derivatives, only those that the point and the leaves determine."""
         parts, sizes_of = list[Sizes](), dict[str, Array]()
         for number, (part, segment) in enumerate(zip(staged.parts, staged.transcribed.segments)):
             phase, first = part.shooting, part.stages.start
@@ -168,7 +174,10 @@ class StartUnits:
             gaps = np.where(np.isfinite(gaps).all(), gaps, 0.0)
             least = None if self._least is None else self._least[number]
             sizes = part.meter(segment.of(point), slopes, gaps, least, with_reserve)
-            for name, other in phase.alike.items():  # an extreme counts as what it is one of, in all phases alike
+            for (
+                name,
+                other,
+            ) in phase.alike.items():  # an extreme has the size of its operand, the same one in all phases
                 slices = phase.dynamics.group.slices
                 sizes_of.setdefault(name, sizes.d[slices.get(other, slices[name])])
                 sizes.d[slices[name]] = sizes_of[name]

@@ -1,4 +1,4 @@
-"""The conditions of a trim as one vector, with its derivatives in the tangent space."""
+"""The conditions of a trim as one vector, with derivatives in the tangent space."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class TrimConditions:
     """The residuals of a trim, as one vector.
 
     Args:
-        params: the parameters that are free.
+        params: the free parameters.
     """
 
     def __init__(
@@ -35,11 +35,11 @@ class TrimConditions:
         rates = tangent_shapes(dynamics.group)
         both = sorted(set(rates) & set(outputs))
         if both and {name.partition("[")[0] for name in (*zero, *fixed)} & set(both):
-            raise InputError(f"trim: {listed(both)} are states and outputs.\n  fix: give the outputs other names")
+            raise InputError(f"trim: {listed(both)} are names of both states and outputs.\n  fix: rename the outputs")
         values = {**rates, **outputs}
         wanted = [*zero, *fixed, *(f"slope of {name}" for name in steady)]
         if not wanted:
-            raise InputError("trim expects a condition: zero=, fixed= or steady=")
+            raise InputError("trim expects at least one condition, zero=, fixed= or steady=")
         for name in steady:
             entry("trim: steady", name, outputs)
         for name in (*zero, *fixed):
@@ -68,13 +68,13 @@ class TrimConditions:
         return target.reshape(-1)
 
     def hold(self, start: Inputs) -> None:
-        """Keep the present value of what is fixed without a value."""
+        """Set the targets of quantities that are fixed without a value to their present values."""
         if np.isnan(self._targets).any():
             open_ones = np.isnan(self._targets)
             self._targets[open_ones] = 0.0
             self._targets[open_ones] = self.at(start)[0][open_ones]
 
     def at(self, point: Inputs) -> tuple[np.ndarray, np.ndarray]:
-        """The residuals, and their derivatives by perturbations of states, controls and free parameters."""
+        """The residuals, with derivatives with respect to perturbations of states, controls and free parameters."""
         value, slopes = self._around(point.t, dict(point.x), dict(point.u), dict(point.params))
         return np.asarray(value)[self._rows] - self._targets, np.asarray(slopes)[self._rows]

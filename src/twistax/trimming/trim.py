@@ -1,4 +1,4 @@
-"""Trim: a state, controls and parameters at which chosen rates vanish and chosen outputs have chosen values."""
+"""Trim: a state, controls and parameters at which selected rates vanish and selected outputs have target values."""
 
 from __future__ import annotations
 
@@ -41,15 +41,15 @@ class Trim:
     """The result of `trim`.
 
     Attributes:
-        t, x, u, params: the point, as arguments of the dynamics; params has passed and free parameters.
-        trimmed: `measure` is at most the tolerance.
-        measure: the largest residual of a condition, relative to its change when every unknown changes by its
-            scale; dimensionless. The change is computed from derivatives, and from differences over 1e-5 of the scales;
+        t, x, u, params: the point, as arguments of the dynamics; `params` contains the passed and the free parameters.
+        trimmed: whether `measure` is at most the tolerance.
+        measure: the largest residual of a condition, divided by its change when every unknown changes by its scale;
+            dimensionless. The change is computed both from derivatives and from differences over 1e-5 of the scales;
             the smaller one is used, so that a very large derivative at a single point does not hide a residual.
         residuals: by name, "rate of V[3]", "airspeed", "slope of alpha": the residual of every condition, in its unit.
-        unknowns: by name, the values of free quantities; of a group-valued state the sum of its steps from the start.
-        saturated: by name, the bound at which an unknown is.
-        undetermined: the unknowns that may change together without a change of any condition, to first order.
+        unknowns: values of the free quantities by name; for a group-valued state, the sum of its steps from the start.
+        saturated: for each unknown at a bound, by name, that bound.
+        undetermined: the unknowns that may change together without changing any condition, to first order.
         evaluations: the number of evaluations of the conditions.
         dynamics: the compiled system.
     """
@@ -68,7 +68,7 @@ class Trim:
     dynamics: Dynamics = dataclasses.field(repr=False)
 
     def linearize(self, outputs: Iterable[str] = ()) -> Linearization:
-        """`tx.trajectory.linearize` about this point, in double precision."""
+        """The linearisation about this point by `tx.trajectory.linearize`, in double precision."""
         with in_double():
             return linearize(self.dynamics, self.t, self.x, self.u, self.params, outputs=outputs)
 
@@ -98,35 +98,34 @@ def trim(
     tolerance: float = 1e-9,
     throw: bool = True,
 ) -> Trim:
-    """A point near the initial one at which a system is in equilibrium, or in a specified steady motion.
+    """Find a point near the initial one at which a system is in equilibrium, or in a specified steady motion.
 
-    The quantities in `free` are unknowns, all others are constant. Names are whole leaves, "V", or entries, "V[3]",
-    "V[3:6]", in row-major order; of a pose or rotation they are entries of its body perturbation, "g[4]" the rotation
-    about the body's y axis. Bounds of states and controls are respected.
+    The quantities in `free` are unknowns, all others are constant. Names refer to whole leaves, "V", or to entries,
+    "V[3]", "V[3:6]", in row-major order. For a pose or rotation, entries are those of its body perturbation, so "g[4]"
+    is the rotation about the body's y axis. Bounds of states and controls are respected.
 
     The bounded nonlinear least-squares problem of all conditions is solved by SciPy's trust-region-reflective method in
     the tangent space, in double precision, with exact derivatives. Conditions and unknowns are scaled, so the result
-    does
-    not depend on units: the scale of an unknown is its leaf's `scale`, else its size, at least 1, or half the distance
-    of its bounds if that is less.
-    A system is compiled once for a set of outputs, with their derivatives or without; other values do not recompile.
+    does not depend on units: the scale of an unknown is its leaf's `scale`, else its size, at least 1, or half the
+    distance of its bounds if that is less. A system is compiled once for each set of outputs, with or without their
+    derivatives; other values do not recompile.
 
     Args:
         x, u, params: the initial point, with the values of all quantities that are not free.
-        free: unknown states, controls and parameters; as a dict with bounds, {"throttle": (0.0, 1.0)}, which
-            replace those of the leaf; None, also for one side, keeps those of the leaf.
-        fixed: outputs with their target values, {"airspeed": 120.0}, and states with rates; in a list
-            of names, or with None, the target is the initial value.
+        free: unknown states, controls and parameters: a list, or a dict with bounds, {"throttle": (0.0, 1.0)}, which
+            replace those of the leaf; None, also for a single side, keeps the bound of the leaf.
+        fixed: outputs with their target values, {"airspeed": 120.0}, and states with target values of their rates. In a
+            list of names, or with None, the target is the initial value.
         zero: states whose rates vanish, and outputs that vanish.
         steady: outputs that are constant along the motion, with constant controls: $d/dt y(t, x(t), u, p) = 0$.
         t: the time, s.
-        tolerance: of `measure`.
-        throw: raise an error where the conditions cannot be satisfied; False returns the best point.
+        tolerance: tolerance of `measure`.
+        throw: whether to raise an error if the conditions cannot be satisfied; False returns the best point.
     Raises:
-        InputError: an unknown name, no unknown, no condition, a value of another shape, bounds that contradict or
-            are of a group.
-        TrajectoryError: no trim was found; it names violated conditions and unknowns at bounds. Conditions or
-            derivatives are not finite.
+        InputError: an unknown name, no unknowns, no conditions, a value of another shape, bounds that contradict each
+            other or that belong to a group.
+        TrajectoryError: no trim was found; the message names violated conditions and unknowns at bounds. Also for
+            conditions or derivatives that are not finite.
         ModelError: the system is not compiled.
 
     Source: Branch, Coleman, Li, A subspace, interior, and conjugate gradient method for large-scale bound-constrained
@@ -152,7 +151,7 @@ def trim(
     if throw and not solution.trimmed:
         raise TrajectoryError(
             f"trim: no point satisfies the conditions.\n{solution}\n"
-            "  fix: free more quantities, remove conditions, or start nearer"
+            "  fix: free more quantities, remove conditions, or use another initial point"
         )
     return solution
 

@@ -18,11 +18,11 @@ from ..system.dynamics import Dynamics
 
 
 class Unknowns:
-    """The free entries, and how a point moves with them.
+    """The free entries, and the map from them to points.
 
     Attributes:
-        columns: where each unknown sits among the perturbations of all states, controls and parameters.
-        names, lower, upper: of each unknown.
+        columns: the index of each unknown among the perturbations of all states, controls and parameters.
+        names, lower, upper: name and bounds of each unknown.
     """
 
     def __init__(self, dynamics: Dynamics, start: Inputs, free: Mapping[str, Any], params: tuple[str, ...]) -> None:
@@ -35,7 +35,7 @@ class Unknowns:
             raise InputError("trim expects states, controls and parameters with different names")
         self.columns = positions("trim: free", free, shapes)
         if not self.columns:
-            raise InputError("trim expects something free: states, controls or parameters by name")
+            raise InputError("trim expects at least one free state, control or parameter")
         every = labels(shapes)
         self.names = [every[i] for i in self.columns]
         lower, upper, scale = (np.full(len(every), value) for value in (-np.inf, np.inf, np.nan))
@@ -70,7 +70,9 @@ class Unknowns:
         self.lower, self.upper = lower[self.columns], upper[self.columns]
         for name, low, high in zip(self.names, self.lower, self.upper):
             if not low < high:
-                raise InputError(f"trim: {name} is free, but its bounds {low:g} and {high:g} leave no room")
+                raise InputError(
+                    f"trim: {name} is free, but its bounds {low:g} and {high:g} coincide or contradict each other"
+                )
 
     def _flat(self, point: Inputs) -> np.ndarray:
         """Values where they are numbers; zeros for what lies on a group."""
@@ -90,10 +92,10 @@ class Unknowns:
 
     def scales(self, point: Inputs, reach: bool = False) -> np.ndarray:
         """The scales of all perturbations: that of the leaf, else its size (at least 1), or half the distance of its
-        bounds if less.
+        bounds if that is less.
 
-        Bounds that are far apart must not hide what is left. To reach what is far from a start at zero, though, they
-        are all that is known: with `reach` half their distance counts wherever there are two.
+        Distant bounds must not hide a residual. But for a target far from a start at zero, the bounds are the only
+        information: with `reach`, half their distance is used wherever both exist.
         """
         size = np.maximum(1.0, np.abs(self._flat(point)))
         known = np.where(np.isfinite(self._half), self._half, size) if reach else np.minimum(self._half, size)
@@ -101,11 +103,13 @@ class Unknowns:
 
     @property
     def on_group(self) -> np.ndarray:
-        """Which unknowns are perturbations on a group."""
+        """Which of the unknowns are perturbations on a group."""
         return self._curved[self.columns]
 
     def in_chart(self, slopes: np.ndarray, z: np.ndarray) -> np.ndarray:
-        """Derivatives by the unknowns of `moved` at z, from those by perturbations of the moved point."""
+        """Derivatives with respect to the unknowns of `moved` at z, from those with respect to perturbations of the
+        moved point.
+        """
         full = np.zeros(self._dynamics.dimension)
         free_states = [(i, k) for k, i in enumerate(self.columns) if i < len(full)]
         for i, k in free_states:
@@ -122,7 +126,7 @@ class Unknowns:
         return bool(self.lower[k] <= self.values(point)[k] + step <= self.upper[k])
 
     def moved(self, point: Inputs, z: np.ndarray) -> Inputs:
-        """The point after perturbations of what is free."""
+        """The point after perturbations of the free quantities."""
         full = np.zeros(len(self._scale))
         full[self.columns] = z
         return self.perturbed(point, full)

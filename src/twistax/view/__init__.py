@@ -1,6 +1,6 @@
-"""Scenes in three dimensions, which `solution.show()` and `result.show()` make: bodies that move, arrows, shapes.
+"""Scenes in three dimensions, made by `solution.show()` and `result.show()`: moving bodies, arrows, shapes.
 
-Nothing here needs more than NumPy and SciPy but `Scene.save` and `Scene.live`, which load viser, the extra `view`.
+This module needs only NumPy and SciPy, except `Scene.save` and `Scene.live`, which load viser, the extra `view`.
 """
 
 from .animation import Arrow, Body

@@ -1,4 +1,4 @@
-"""A scene as numbers: what is drawn where, and when. `stage.py` draws it."""
+"""A scene as numbers: the objects and their motion. `stage.py` draws it."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ class Body:
     """A moving body, with the shapes that are fixed to it.
 
     Attributes:
-        name: of the state, or of the frame of a mechanism.
+        name: the name of the state, or of the frame of a mechanism.
         poses: T (n, 4, 4) in the world at the times of the scene; positions in m.
-        shapes: in its axes.
+        shapes: shapes in its axes.
         axes: whether x (red), y (green) and z (blue) are drawn.
         trail: whether the path of its origin is drawn.
     """
@@ -51,15 +51,15 @@ class Body:
 class Arrow:
     """The style of a vector: `solution.show(arrows={"T": tx.view.Arrow("g", at=engine)})`.
 
-    A value (3,) is one arrow. A value (6,) is a wrench [f; tau] or a twist [v; w], and two arrows.
+    A value (3,) is one arrow. A value (6,) is a wrench [f; tau] or a twist [v; w], and is drawn as two arrows.
 
     Attributes:
-        on: the name of the body, or of the frame of a mechanism, at which it starts; not needed for a single body.
+        on: the name of the body, or of the frame of a mechanism, from which it starts; optional for a single body.
         at: (3,) its start, in the axes of the body, m.
-        world: the vector is in world axes; by default in those of the body.
-        scale: metres for a unit of the vector, also for a torque; a negative one reverses it. By default the
-            largest vector along the motion is a fifth of the scene.
-        color: red, green and blue from 0 to 255. A torque is darker.
+        world: whether the vector is in world axes; by default it is in those of the body.
+        scale: metres per unit of the vector, also for a torque; a negative one reverses it. By default the largest
+            vector along the motion is a fifth of the scene.
+        color: red, green and blue from 0 to 255. A torque is drawn darker.
     Raises: InputError for a start that is not a point, or a scale that is zero.
     """
 
@@ -80,7 +80,7 @@ class Arrow:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Vector:
-    """A vector along the motion: (n, 3) values, the body they start from, and how they are drawn."""
+    """A vector along the motion: (n, 3) values, the body from which they start, and their style."""
 
     name: str
     body: Body
@@ -89,7 +89,7 @@ class Vector:
     color: Color
 
     def ends(self, scale: float) -> Array:
-        """Where it starts and ends (n, 2, 3), in the world."""
+        """Its start and end (n, 2, 3), in the world."""
         R, p = self.body.poses[:, :3, :3], self.body.poses[:, :3, 3]
         values = self.values if self.looks.world else np.einsum("nij,nj->ni", R, self.values)
         start = p + R @ self.looks.at
@@ -106,7 +106,7 @@ def _ends(shape: Shape) -> Array:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Animation:
-    """What is drawn over time, as numbers; `Scene` says what the attributes are."""
+    """The objects of a scene over time, as numbers; the attributes are those of `Scene`."""
 
     ts: Array
     bodies: tuple[Body, ...]
@@ -152,12 +152,12 @@ class Animation:
 
     @property
     def size(self) -> float:
-        """The diagonal of the extent, m; 1 where it is a point."""
+        """The diagonal of the extent, m; 1 if the extent is a point."""
         low, high = self.extent()
         return float(np.linalg.norm(high - low)) or 1.0
 
     def scale_of(self, vector: Vector) -> float:
-        """Metres for a unit of a vector."""
+        """The scale of a vector: metres per unit."""
         if vector.looks.scale is not None:
             return float(vector.looks.scale)
         return _LONG * self.size / (float(np.linalg.norm(vector.values, axis=1).max()) or 1.0)
@@ -165,7 +165,7 @@ class Animation:
     def at(self: A, times: Array) -> A:
         """The scene at other times within its own.
 
-        Positions and vectors are interpolated linearly between two saved times, and rotations about one axis.
+        Between two saved times, positions and vectors are interpolated linearly, and rotations about a fixed axis.
         """
         from scipy.spatial.transform import Rotation, Slerp
 

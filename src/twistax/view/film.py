@@ -1,4 +1,4 @@
-"""A scene as a film: pictures from a browser without a window, joined by ffmpeg."""
+"""A scene as a video: frames from a headless browser, joined by ffmpeg."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ _SETTLING = 10
 
 @watching("video")
 def film(scene: Animation, path: Path, size: tuple[int, int]) -> Path:
-    """Write a film of a scene; see `Scene.video`."""
+    """Write a video of a scene; see `Scene.video`."""
     is_size = len(size) == 2 and all(isinstance(n, int) and 16 <= n <= 8192 and n % 2 == 0 for n in size)
     if not is_size:
-        raise InputError(f"video expects size as two even numbers of pixels from 16 to 8192, got {short(size)}")
+        raise InputError(f"video expects size to be two even numbers of pixels from 16 to 8192, got {short(size)}")
     if not path.parent.is_dir():
         raise InputError(f"video cannot write {str(path)!r}: there is no folder {str(path.parent)!r}")
     try:
@@ -41,7 +41,7 @@ def film(scene: Animation, path: Path, size: tuple[int, int]) -> Path:
     browser = next(filter(None, map(shutil.which, BROWSERS)), None)
     if browser is None:
         raise ModelError(
-            "video needs Chromium or Chrome to draw the pictures; none is on the path.\n"
+            "video needs Chromium or Chrome to draw the pictures; none was found on the PATH.\n"
             "  fix: install one, or write a page with solution.show('flight.html') and record it"
         )
     width, height = size
@@ -113,7 +113,7 @@ def _client(server: Any, browser: str, size: tuple[int, int]) -> Iterator[Any]:
             end = time.monotonic() + _BEGIN
             while not server.get_clients():
                 if process.poll() is not None or time.monotonic() > end:
-                    raise ModelError(f"video: {browser} does not show the scene (it ended with {process.returncode})")
+                    raise ModelError(f"video: {browser} did not show the scene (exit status {process.returncode})")
                 time.sleep(0.1)
             time.sleep(1.0)  # until the scene is there
             yield next(iter(server.get_clients().values()))

@@ -1,4 +1,4 @@
-"""Solids from files of triangles: STL, OBJ and DAE, read by trimesh, the extra `view`, when they are drawn."""
+"""Solids from files of triangles: STL, OBJ and DAE, read by trimesh (extra `view`) when they are drawn."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ class Mesh(Shape):
     """A solid made of triangles, from a file or as numbers.
 
     Attributes:
-        source: a path of a file that trimesh reads, such as STL, OBJ or DAE, or a pair of corners (n, 3) in m and
-            triangles (m, 3) of their indices.
-        at, color, opacity: as of every `Shape`.
-        scale: the factor of the corners, a number or three, such as 0.001 for a file in mm.
-    Raises: InputError when the file is drawn: it does not exist, cannot be read, or has no triangles.
-        ModelError when it is drawn without trimesh.
+        source: path of a file that trimesh reads, such as STL, OBJ or DAE; or a pair of vertices (n, 3) in m and
+            triangles (m, 3) of vertex indices.
+        at, color, opacity: as for `Shape`.
+        scale: the factor of the vertices, a number or three, such as 0.001 for a file in mm.
+    Raises: InputError when the file is drawn: it does not exist, cannot be read, or has no triangles. ModelError when
+        it is drawn and trimesh is not installed.
     """
 
     source: Any
@@ -42,8 +42,8 @@ class Mesh(Shape):
             inside = faces.ndim == 2 and faces.shape[1] == 3 and len(faces) and 0 <= faces.min() <= faces.max()
             if corners.ndim != 2 or corners.shape[1] != 3 or not inside or faces.max() >= len(corners):
                 raise InputError(
-                    "Mesh expects corners (n, 3) and triangles (m, 3) of their indices, "
-                    f"got shapes {corners.shape} and {faces.shape}"
+                    "Mesh expects vertices (n, 3) and triangles (m, 3) of vertex indices, got shapes "
+                    "{corners.shape} and {faces.shape}"
                 )
 
     @functools.cached_property

@@ -1,4 +1,4 @@
-"""From the states of a motion to a scene: its bodies and arrows."""
+"""Scenes from the states of a motion: bodies and arrows."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ class Motion:
     Attributes:
         ts: (n,) times in s.
         xs: states by name.
-        lookups: functions that return controls and outputs by name; the first that has a name gives its values.
-        params: the parameters, where they are known.
+        lookups: functions that return controls and outputs by name; the first one that has a name is used.
+        params: the parameters, if they are known.
     """
 
     ts: Array
@@ -42,7 +42,7 @@ class Motion:
     params: Values = dataclasses.field(default_factory=dict)
 
     def value(self, name: str) -> Array:
-        """The values (n, ...) of a state, control or output. Raises InputError."""
+        """The values (n, ...) of a state, control or output. Raises InputError for an unknown name."""
         known: list[str] = []
         for some in (lambda: self.xs, *self.lookups):
             there = some()
@@ -53,7 +53,7 @@ class Motion:
 
 
 def joined(parts: Sequence[Values]) -> dict[str, Array]:
-    """Values of consecutive motions as those of one, for the names that all have."""
+    """Values of consecutive motions, joined, for the names that all of them have."""
     values = {name: [np.asarray(part[name]) for part in parts if name in part] for name in parts[0]}
     everywhere = [n for n, part in values.items() if len(part) == len(parts) and len({v.shape[1:] for v in part}) == 1]
     return {name: np.concatenate(values[name]) for name in everywhere}
@@ -138,7 +138,7 @@ def _bodies(motion: Motion, wanted: Any) -> tuple[Body, ...]:
         if not wanted:
             raise InputError(
                 f"show: no state is a pose or a rotation; there are: {listed(motion.xs)}.\n"
-                "  fix: of a mechanism, solution.show(bodies=mechanism)"
+                "  fix: for a mechanism use solution.show(bodies=mechanism)"
             )
     if not isinstance(wanted, Mapping):
         raise InputError(

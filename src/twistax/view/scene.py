@@ -1,4 +1,4 @@
-"""A scene over time, as a page, a file or a server."""
+"""A scene over time, with its forms: a page, a file or a server."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from .stage import page, served
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Scene(Animation):
-    """The result of `show`: a scene over time. A notebook displays it.
+    """The result of `show`: a scene over time. Notebooks display it.
 
     Attributes:
-        ts: (n,) times in s, rising.
+        ts: (n,) increasing times in s.
         bodies: the moving bodies.
-        vectors: the vectors that are drawn as arrows.
+        vectors: the vectors, which are drawn as arrows.
         shapes: the fixed shapes.
         up: (3,) the upward direction.
         seconds: the duration of the animation; by default the time of the motion, from 2 to 20 s.
         follow: the name of the body at the centre of the picture; none by default.
-        caption: (n, ...) values by name that are printed beside the time.
+        caption: (n, ...) values by name that are printed next to the time.
         ground: whether a plane is drawn below everything, with shadows.
     """
 
     def html(self) -> str:
         """The animation as one self-contained HTML page with a slider.
 
-        Raises ModelError where viser is not installed.
+        Raises ModelError if viser is not installed.
         """
         return page(self)
 
@@ -57,11 +57,11 @@ class Scene(Animation):
         An installed Chromium or Chrome draws the frames, without a window; imageio-ffmpeg writes the file.
 
         Args:
-            path: of the file; an existing file is overwritten. The extension selects the format.
+            path: path of the file; an existing file is overwritten. The extension selects the format.
             size: width and height in pixels, even numbers.
         Raises:
             InputError: a path that cannot be written, or invalid sizes.
-            ModelError: viser or imageio-ffmpeg is not installed, no browser is found, or it draws nothing.
+            ModelError: viser or imageio-ffmpeg is not installed, no browser was found, or it draws nothing.
         """
         return film(self, path_of("video: path", path), size)
 

@@ -1,4 +1,4 @@
-"""Simple solids as triangles: shapes of bodies, and obstacles."""
+"""Simple solids as triangle meshes: shapes of bodies, and obstacles."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ STEEL: Color = (92, 124, 160)
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Shape:
-    """Base of all solids: pose, colour and opacity.
+    """Base class of solids: pose, colour and opacity.
 
     Attributes:
-        at: its place, in the axes of its body or of the world: a point (3,) in m, or a pose T (4, 4).
+        at: its position or pose, in the axes of its body or of the world: a point (3,) in m, or a pose T (4, 4).
         color: red, green and blue from 0 to 255.
         opacity: from 0 to 1.
-    Raises: InputError for other values, or a size that is not positive.
+    Raises: InputError for invalid values, or a size that is not positive.
     """
 
     at: Any = (0.0, 0.0, 0.0)
@@ -61,7 +61,7 @@ class Shape:
         object.__setattr__(self, "at", at)
 
     def mesh(self) -> tuple[Array, Array]:
-        """Corners (n, 3) in its own axes, in m, and triangles (m, 3) of their indices, counter-clockwise from
+        """Vertices (n, 3) in its own axes, in m, and triangles (m, 3) of vertex indices, counter-clockwise from
         outside.
         """
         raise NotImplementedError
@@ -93,15 +93,14 @@ class Ellipsoid(Shape):
 
     @classmethod
     def of_inertia(cls, mass: Any, center_of_mass: Any, inertia: Any, **looks: Any) -> Ellipsoid:
-        """The solid, homogeneous ellipsoid of a mass, kg, and an inertia tensor (3, 3) about its centre, kg m2.
+        """The solid, homogeneous ellipsoid with a mass, kg, and an inertia tensor (3, 3) about its centre, kg m2.
 
-        Its principal moments are $I_1 = m (b^2 + c^2) / 5$ and so on, so that $a^2 = 5 (I_2 + I_3 - I_1) / (2 m)$. A
-        flat or thin body is drawn with at least a hundredth of its largest semi-axis. Raises InputError if the tensor
-        is zero.
+        Its principal moments are $I_1 = m (b^2 + c^2) / 5$ and so on, so $a^2 = 5 (I_2 + I_3 - I_1) / (2 m)$. A flat or
+        thin body is drawn with at least a hundredth of its largest semi-axis. Raises InputError if the tensor is zero.
 
         Args:
             center_of_mass: (3,), m, in the axes of the tensor.
-            looks: `color` and `opacity`.
+            looks: the arguments `color` and `opacity`.
         """
         m = float(number("of_inertia: mass", mass, "a positive mass", lambda x: 0.0 < x < np.inf))
         tensor = reals("of_inertia: inertia", inertia, InputError)
@@ -121,7 +120,7 @@ class Ellipsoid(Shape):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Sphere(Shape):
-    """A ball centred at its pose, with one number, its radius in m."""
+    """A ball centred at its pose; its number is the radius in m."""
 
     radius: float
     single = ("radius",)
@@ -132,7 +131,7 @@ class Sphere(Shape):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Cylinder(Shape):
-    """A cylinder centred at its pose, along z, with two numbers, radius and length in m."""
+    """A cylinder centred at its pose, along z; its two numbers are radius and length in m."""
 
     radius: float
     length: float
@@ -145,7 +144,8 @@ class Cylinder(Shape):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Capsule(Shape):
-    """A cylinder centred at its pose, along z, with half a ball on each end: two numbers, radius and length in m.
+    """A cylinder centred at its pose, along z, with half a ball on each end; its two numbers are radius and length in
+    m.
 
     The length is that of the cylinder, between the centres of the balls.
     """
@@ -162,7 +162,9 @@ class Capsule(Shape):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Cone(Shape):
-    """A cone with its tip at its pose, opening along z: two numbers, height in m, `half_angle` from its axis in rad."""
+    """A cone with its tip at its pose, opening along z; its two numbers are the height in m and the `half_angle` from
+    its axis in rad.
+    """
 
     height: float
     half_angle: float

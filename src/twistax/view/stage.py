@@ -1,4 +1,4 @@
-"""A scene on viser, the extra `view`: as one HTML page that plays by itself, or served to a browser."""
+"""Drawing of a scene by viser (extra `view`): as one self-contained HTML page, or served to a browser."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def page(scene: Animation) -> str:
 
 
 def served(scene: Animation, port: int) -> Any:
-    """A server of the scene, with a slider; the animation goes on in a thread of its own until the server stops."""
+    """A server of the scene, with a slider; the animation runs in a separate thread until the server stops."""
     server = _viser().ViserServer(host="127.0.0.1", port=port)
     frames = scene.frames()
     stage, last = Stage(server, frames), len(frames.ts) - 1
@@ -73,7 +73,7 @@ def _viser() -> Any:
 
 @contextlib.contextmanager
 def silent_server() -> Iterator[Any]:
-    """A server without clients: viser records what it would send. Its message with the address is suppressed."""
+    """A server without clients: viser records the messages that it would send. Its start message is suppressed."""
     viser = _viser()
     with contextlib.redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host="127.0.0.1", verbose=False)
@@ -84,7 +84,7 @@ def silent_server() -> Iterator[Any]:
 
 
 class Stage:
-    """The nodes of a scene on a server, and their poses in picture k."""
+    """The nodes of a scene on a server, and their poses in frame k."""
 
     def __init__(self, server: Any, scene: Animation) -> None:
         low, high = scene.extent()
@@ -118,7 +118,7 @@ class Stage:
         self.draw(0)
 
     def draw(self, k: int) -> None:
-        """Move everything to picture k."""
+        """Move all objects to frame k."""
         if self.middles is not None:
             self.world.position = -self.middles[k]
         for node, places, turns in self.bodies:
@@ -206,7 +206,7 @@ def _listed(value: Any, decimals: int | None) -> str:
 
 
 def quaternions(R: Array) -> Array:
-    """Rotations (n, 3, 3) as [w, x, y, z] (n, 4)."""
+    """Rotations (n, 3, 3) as quaternions [w, x, y, z] (n, 4)."""
     from scipy.spatial.transform import Rotation
 
     return np.roll(Rotation.from_matrix(R).as_quat(), 1, axis=1)

@@ -176,7 +176,7 @@ def test_files_that_others_may_write_are_not_run(mode: int, folder: Path) -> Non
     cache.keep(KEY, CODE)
     (entry,) = _entries(folder)
     entry.chmod(mode)
-    _not_read("others may write")
+    _not_read("other users may write")
     cache.keep(KEY, CODE)  # the mended one
     assert cache.kept(KEY) == CODE
 
@@ -185,7 +185,7 @@ def test_files_that_others_may_write_are_not_run(mode: int, folder: Path) -> Non
 def test_a_folder_that_others_may_write_is_not_used(mode: int, folder: Path) -> None:
     cache.keep(KEY, CODE)
     folder.chmod(mode)
-    _not_read(f"others may write to the directory {folder} (chmod go-w mends it)")
+    _not_read(f"other users may write to the directory {folder} (fix: chmod go-w)")
 
 
 def test_links_are_not_followed(folder: Path, tmp_path: Path) -> None:

@@ -41,5 +41,5 @@ def test_operations(casadi: Any) -> None:
     for k, row in enumerate(points):
         for name, own, other in zip(names, np.array(found(*row)).reshape(-1), expected, strict=True):
             np.testing.assert_allclose(own, other[k], rtol=1e-14, atol=1e-15, err_msg=f"{name} at {row}")
-    with pytest.raises(tx.ModelError, match="CasADi has no and of int64"):
+    with pytest.raises(tx.ModelError, match="CasADi does not have the operation and for int64"):
         expression(casadi, OPERATIONS["and"], whole, *symbols[:2])

@@ -218,7 +218,7 @@ def test_results_beyond_single_precision_do_not_hide_errors(tmp_path: Path) -> N
 
 def test_names_that_become_one_are_refused(tmp_path: Path) -> None:
     x, y = tx.State("a.b"), tx.State("a b")
-    with pytest.raises(tx.ModelError, match=r"'a\.b' and 'a b' would both be called x_a_b"):
+    with pytest.raises(tx.ModelError, match=r"'a\.b' and 'a b' would both have the name x_a_b"):
         tx.compile(tx.System(rates={x: y, y: x})).to_c(tmp_path)
 
 
@@ -246,7 +246,7 @@ def test_arguments_that_are_wrong(tmp_path: Path) -> None:
     with pytest.raises(tx.InputError, match="float64 or float32, got 'real'"):
         dynamics.to_c(tmp_path, dtype="real")
     for points in ([(0.0,)], [(0.0, {"x": 1.0}, {}, {}, {})]):
-        with pytest.raises(tx.InputError, match=r"points expects \(t, x, u, params\) each"):
+        with pytest.raises(tx.InputError, match=r"points expects tuples \(t, x, u, params\)"):
             dynamics.to_c(tmp_path, points=points)
     with pytest.raises(tx.InputError, match="points expects at least one"):
         dynamics.to_c(tmp_path, points=[])

@@ -1,1 +1,1 @@
-"""Parameters from data: maximum likelihood by multiple shooting."""
+"""Estimation of parameters from data: maximum likelihood by multiple shooting."""

@@ -1,4 +1,4 @@
-"""A record of a system for a fit, and records of all experiments as arrays in segments."""
+"""The record of an experiment for a fit, and the records of all experiments as arrays in segments."""
 
 from __future__ import annotations
 
@@ -24,17 +24,16 @@ class Experiment:
     """The records of one experiment with a system.
 
     Attributes:
-        records: by measurement (times (k,), values (k, *shape)), as of a filter's run; a row with a NaN is missing.
+        records: by measurement (times (k,), values (k, *shape)), as for a filter's run; a row with a NaN is missing.
         x0: the state at t0, or a guess of it, by name.
-        P0: the covariance of that guess in the tangent space: a number, (n,) or (n, n); 0 where the start is known.
-            Without one the start is unknown, and x0 is where the search for it begins. With noise in the rates the
-            filter begins with P0; give it one where a covariance of a measurement is free, for a start that fits the
-            first measurement without error makes a covariance of zero most likely.
-        t0: s; the first time of the records if left out.
-        u: controls, as of a filter's run.
-        guess: states by name at times of their own, (times (k,), {name: (k, *shape)}), where a search with several
-            segments begins; the simulated ones if left out.
-    Raises: nothing; a fit checks them.
+        P0: the covariance of that guess in the tangent space: a number, (n,) or (n, n); 0 for a known initial state.
+            Without it the initial state is unknown, and x0 is its initial guess. With noise in the rates, P0 is the
+            initial covariance of the filter; pass it if a covariance of a measurement is free, because an initial state
+            that fits the first measurement exactly would make a covariance of zero most likely.
+        t0: s; by default the first time of the records.
+        u: controls, as for a filter's run.
+        guess: initial guess of the states in a search with several segments, by name, at arbitrary times: (times (k,),
+            {name: (k, *shape)}). By default the states are simulated.
 
     Example: `tx.estimation.Experiment({"angle": (times, angles)}, x0={"q": 1.0, "w": 0.0})`.
     """
@@ -48,7 +47,9 @@ class Experiment:
 
 
 class RecordRows(NamedTuple):
-    """RecordRows of a timeline: they end at `ts` after `hs` with held controls, and what is measured there."""
+    """The rows of a timeline: intervals of lengths `hs` that end at the times `ts`, with constant controls, and the
+    measurements at these times.
+    """
 
     ts: jax.Array
     hs: jax.Array
@@ -58,8 +59,8 @@ class RecordRows(NamedTuple):
 
 
 class StartEstimate(NamedTuple):
-    """The state at the start, its covariance in the filter (n, n), the information (n, n) on it as an unknown, and
-    which entries of its tangent (n,) are unknown."""
+    """The initial state, its covariance in the filter (n, n), the information (n, n) about it as an unknown, and which
+    entries of its tangent (n,) are unknown."""
 
     x: Arrays
     P0: jax.Array
@@ -68,11 +69,11 @@ class StartEstimate(NamedTuple):
 
 
 class SegmentedData(NamedTuple):
-    """All experiments in segments: rows (experiments, segments, length, ...), and starts and guesses.
+    """All experiments in segments: rows (experiments, segments, length, ...), and initial states and guesses.
 
     Attributes:
-        rows: see `RecordRows`; the last segments are padded by steps of no length without measurements.
-        starts: (experiments, ...).
+        rows: the `RecordRows`; the last segments are padded by steps of zero length without measurements.
+        starts: initial states (experiments, ...).
         guess: states at the starts of segments (experiments, segments, *shape), NaN where they are simulated.
         params: the values of all parameters that are not free.
     """
@@ -84,7 +85,7 @@ class SegmentedData(NamedTuple):
 
 
 def experiments_of(data: Any) -> tuple[Experiment, ...]:
-    """The experiments of data. Raises InputError."""
+    """The list of experiments in the argument `data`. Raises InputError for other objects."""
     experiments = (data,) if isinstance(data, Experiment) else tuple(data) if isinstance(data, Sequence) else ()
     if not experiments or not all(isinstance(one, Experiment) for one in experiments):
         raise InputError(f"data expects an Experiment or a list of Experiments, got {short(data)}")
@@ -92,7 +93,9 @@ def experiments_of(data: Any) -> tuple[Experiment, ...]:
 
 
 class StagedData(NamedTuple):
-    """Checked experiments before they are cut: the arguments of runs, and guesses of the starts of segments."""
+    """Checked experiments before the division into segments: the arguments of runs, and guesses of initial states of
+    segments.
+    """
 
     stages: tuple[RunStages, ...]
     guesses: tuple[dict[str, np.ndarray], ...]
@@ -101,9 +104,9 @@ class StagedData(NamedTuple):
 def staged(
     kalman: ErrorStateKalman, experiments: Sequence[Experiment], params: Values, segments: int | None
 ) -> tuple[StagedData, tuple[bool, ...], int]:
-    """The experiments, which of their starts are free, and the number of segments of each.
+    """The experiments, which of their initial states are unknown, and the number of segments of each.
 
-    Raises InputError, ShapeError as the run of a filter does.
+    Raises InputError, ShapeError: the errors of a filter's run.
     """
     stages = tuple(
         kalman.staged(one.records, one.x0, 0.0 if one.P0 is None else one.P0, one.t0, one.u, params, ())

@@ -34,38 +34,40 @@ from .segments import Segments
 
 
 class MaximumLikelihood:
-    """The parameters of a system that make measurements most likely. `tx.fit` makes one and runs it.
+    """The parameters of a system for which the measurements are most likely. `tx.fit` makes one and runs it.
 
-    Without `tx.Noise` in the rates, the parameters and the initial state determine the motion, and errors are those of
-    the measurements: the output error method,
+    Without `tx.Noise` in the rates, the parameters and the initial state determine the motion, and the only errors are
+    those of the measurements. This is the output error method,
 
         $min 1/2 sum_k (e_k^T R^-1 e_k + log det R), e_k = Log(h(x_k)^-1 z_k)$.
 
-    With noise in the rates e and its covariance S are the innovations of `ErrorStateKalman`, the filter error method.
-    So densities and covariances may be free parameters too. Initial states of experiments are also unknowns, with or
-    without a prior covariance; with noise in the rates the initial covariance is that of the filter.
+    With noise in the rates, e and its covariance S are the innovations of `ErrorStateKalman`. This is the filter error
+    method, in which densities and covariances may be free parameters, too. Initial states of experiments are also
+    unknown, with or without a prior covariance; with noise in the rates, the initial covariance is that of the filter.
 
-    The record of an experiment is cut into segments. First the initial state of each segment is fitted to its
+    The record of an experiment is divided into segments. First, the initial state of each segment is fitted to its
     measurements, with constant parameters. Then Gauss-Newton steps change parameters and initial states together and
     close the gaps between segments: multiple shooting. So the states follow the data while the parameters are still
-    wrong; a simulation from the start of the record would depart from it. With noise in the rates the filter follows
-    the data, and there is one segment.
+    inaccurate; a simulation from the start of the record would diverge from it. With noise in the rates, the filter
+    follows the data, and there is only one segment.
 
     Args:
         dynamics: the compiled system; time is in s.
         measurements: the models of the sensors.
-        free: the parameters that are unknown, by leaf or name: a list, or a dict to their limits (low, high), numbers
-            or arrays; None for no limit.
+        free: the unknown parameters, by leaf or name: a list, or a dict from them to limits (low, high), numbers or
+            arrays; None for no limit.
         priors: by parameter a pair of its expected value and its covariance: a number, one for each entry, or a matrix.
         losses: by measurement a `RobustLoss` rho, such as `HuberLoss()`, for records with outliers: $rho(e^T R^-1 e)$
-            in place of $e^T R^-1 e$. Squares if left out. Not with noise in the rates: an outlier moves the filter.
-        method, max_step, noise: as of `ErrorStateKalman`.
-        segments: of each record; at most 12 if left out, with eight rows or two for each entry of the state.
-        max_iterations: steps at most.
+            in place of $e^T R^-1 e$, the default. Not supported with noise in the rates, because outliers change the
+            state of the filter.
+        method, max_step, noise: as for `ErrorStateKalman`.
+        segments: the number of segments of each record. By default at most 12, such that a segment has at least eight
+            rows, and two for each entry of the state.
+        max_iterations: the largest number of steps.
     Raises:
-        ModelError: those of `ErrorStateKalman`; free or priors of an unknown or baked parameter; no free one;
-            losses of unknown measurements, or with noise in the rates.
-        ShapeError, InputError: limits and priors of other shapes, or not positive definite.
+        ModelError: the errors of `ErrorStateKalman`; free or priors with a parameter that is unknown or a constant of
+            the compiled system; no free parameter; losses of unknown measurements, or with noise in the rates.
+        ShapeError, InputError: limits or priors of the wrong shape, or priors that are not positive definite.
 
     Example: `MaximumLikelihood(dynamics, [angle], free=["length"]).run(Experiment({"angle": (ts, qs)}, x0))`.
 
@@ -103,14 +105,14 @@ class MaximumLikelihood:
         if robust and model.process:
             raise ModelError(
                 "fit expects no losses with noise in the rates: the filter follows outliers.\n"
-                "  fix: NaN for the outliers in the records"
+                "  fix: replace the outliers in the records by NaN"
             )
         shooting = Segments(self.kalman, {box.name: (places[box.name], box.shape) for box in self.boxes}, robust)
         self.places, self.shooting = places, ShootingSteps(shooting)
         if segments is not None:
             whole("segments", segments, 1, ModelError)
             if segments > 1 and model.process:
-                raise ModelError("fit expects segments=1 with noise in the rates: the filter follows the data")
+                raise ModelError("fit expects segments=1 with noise in the rates")
         self.segments, self.max_iterations = segments, whole("max_iterations", max_iterations, 1, ModelError)
         self.prior = self._prior(priors or {})
 
@@ -137,15 +139,15 @@ class MaximumLikelihood:
         return mean, information
 
     def run(self, data: Any, params: Values | None = None) -> ParameterEstimate:
-        """The most likely parameters. Values of records may be traced by jit and vmap.
+        """The maximum-likelihood parameters. Values of records may be traced by jit and vmap.
 
         Args:
             data: an `Experiment`, or a list of them.
-            params: values of parameters; initial values of free ones. Default values, and the
-                middle of limits, if left out.
+            params: values of parameters; initial values of free ones. By default their declared values, or the middle
+                of their limits.
         Raises:
             InputError, ShapeError: experiments and parameters that do not fit the system.
-            EstimationError: steps that do not converge, or numbers that are not finite, unless traced.
+            EstimationError: steps that do not converge, or numbers that are not finite; not raised for traced values.
         """
         values = self._values(params or {})
         with watched("fit"):
@@ -170,7 +172,7 @@ class MaximumLikelihood:
             if value is None and box.min is not None and box.max is not None:
                 value = 0.5 * (np.asarray(box.min) + np.asarray(box.max))
             if value is None:
-                raise InputError(f"fit expects an initial value for {box.name!r}.\n  fix: params={{...}}")
+                raise InputError(f"fit expects an initial value for {box.name!r}.\n  fix: pass it in params={{...}}")
             array = real_array(f"params[{box.name!r}]", value)
             if array.shape != leaf.shape:
                 raise ShapeError(f"params[{box.name!r}] expects shape {leaf.shape}, got {array.shape}")
@@ -181,11 +183,11 @@ class MaximumLikelihood:
         if not estimate.converged:
             raise EstimationError(
                 f"the fit is {estimate.result}.\n"
-                "  fix: other initial values, params=...; limits of free parameters; priors; more segments"
+                "  fix: pass other initial values in params=..., limits of free parameters, priors, or more segments"
             )
         if names := estimate.names_on_bounds:
             warnings.warn(
-                f"the fit is on a bound of {', '.join(names)}: the data asks for a value beyond it",
+                f"the fit is on a bound of {', '.join(names)}: the data fit better with a value beyond it",
                 RuntimeWarning,
                 stacklevel=3,
             )
@@ -233,7 +235,7 @@ class MaximumLikelihood:
 
 
 def _less_starts(N: jax.Array, unknown: jax.Array) -> jax.Array:
-    """The information on parameters less what unknown starts take of it, $N_pp - N_ps N_ss^+ N_sp$."""
+    """The information about parameters, with unknown initial states eliminated: $N_pp - N_ps N_ss^+ N_sp$."""
     s = unknown.size
     values, vectors, scale = scaled_eigenvalues(N[:s, :s], unknown)
     small = values <= 1e4 * float(jnp.finfo(N.dtype).eps)
@@ -253,16 +255,16 @@ def fit(
     priors: Mapping[Any, Any] | None = None,
     **options: Any,
 ) -> ParameterEstimate:
-    """The parameters that make measured data most likely, with their covariance.
+    """Fit parameters to measured data by maximum likelihood, with their covariance.
 
-    Data of the same shapes compiles once: the `MaximumLikelihood` of these arguments stays with the dynamics.
+    Data of the same shapes compile once: the `MaximumLikelihood` of these arguments is cached with the dynamics.
 
     It minimises $1/2 sum_k (e_k^T S_k^-1 e_k + log det S_k)$, see `tx.estimation.MaximumLikelihood`.
 
     Args:
         dynamics: the compiled system.
         data: a `tx.estimation.Experiment`, or a list of them.
-        free, measurements, priors, options: as of `tx.estimation.MaximumLikelihood`.
+        free, measurements, priors, options: as for `tx.estimation.MaximumLikelihood`.
         params: values of parameters in their units; initial values of free ones.
     Raises:
         ModelError, InputError, ShapeError: arguments that do not fit the system.
@@ -283,7 +285,7 @@ def fit(
 
 
 def _key(value: Any) -> Any:
-    """What stands for options in a cache: names and numbers by value, other objects by identity."""
+    """A hashable key for options in a cache: names and numbers by value, other objects by identity."""
     if isinstance(value, Mapping):
         return tuple((name_of(key), _key(entry)) for key, entry in value.items())
     if isinstance(value, (tuple, list)):

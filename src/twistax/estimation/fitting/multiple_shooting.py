@@ -1,4 +1,4 @@
-"""Gauss-Newton steps of multiple shooting: states at the starts of segments are eliminated, bounds are kept."""
+"""Gauss-Newton steps of multiple shooting: initial states of segments are eliminated, and bounds are satisfied."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _SINGULAR = 1e4
 
 
 class Prior(NamedTuple):
-    """What is known of the parameters beforehand: their values (p,), the information (p, p), and limits (2, p)."""
+    """Prior knowledge of the parameters: expected values (p,), information matrix (p, p), and limits (2, p)."""
 
     mean: jax.Array
     information: jax.Array
@@ -25,7 +25,9 @@ class Prior(NamedTuple):
 
 
 class SegmentUnknowns(NamedTuple):
-    """Starts of segments (experiments, segments, *shape), parameters (p,), and weights of gaps."""
+    """The unknowns: initial states of segments (experiments, segments, *shape), parameters (p,), and weights of
+    gaps.
+    """
 
     starts: Arrays
     theta: jax.Array
@@ -37,14 +39,14 @@ class SegmentUnknowns(NamedTuple):
 
 
 class Condensed(NamedTuple):
-    """The linearised problem in z = [starts of experiments (r n); theta (p)], gaps closed.
+    """The linearised problem in z = [initial states of experiments (r n); theta (p)], with gaps eliminated.
 
     Attributes:
-        cost, likelihood: those of `ShootingSteps.cost`.
-        gradient, information: of the cost with its priors.
-        of_data: the information without the prior of parameters.
-        tangents: (experiments, segments, n, n + p + 1), the starts of segments $T [d_0; theta; 1]$.
-        gaps: their values and derivatives.
+        cost, likelihood: the results of `ShootingSteps.cost`.
+        gradient, information: derivatives of the cost including priors.
+        of_data: the information without that of priors of parameters.
+        tangents: (experiments, segments, n, n + p + 1), the initial states of segments $T [d_0; theta; 1]$.
+        gaps: the gaps between segments and their derivatives.
     """
 
     cost: jax.Array
@@ -59,9 +61,10 @@ class Condensed(NamedTuple):
 class ShootingSteps:
     """The steps for records in segments.
 
-    The cost is the negative logarithm of the posterior density, and the end of each segment is the start of the next.
-    A step solves the problem with linearised residuals and gaps, by Fisher's information: the starts of later segments
-    are eliminated forward. It is accepted where the cost with weighted absolute gaps falls.
+    The cost is the negative log posterior density, with the constraint that the end of each segment is the start of the
+    next one. A step solves the problem with linearised residuals and gaps, with Fisher's information matrix as Hessian;
+    the initial states of later segments are eliminated by forward substitution. It is accepted if the sum of cost and
+    weighted absolute gaps decreases.
 
     Source: Bock, Randwertproblemmethoden zur Parameteridentifizierung (1987); Albersmeyer, Diehl, The lifted Newton
     method and its application in optimization, SIAM J. Optim. 20 (2010); bounds as in Bertsekas, Projected Newton
@@ -72,7 +75,7 @@ class ShootingSteps:
         self.segments, self.group = segments, segments.model.group
 
     def linearized(self, unknowns: SegmentUnknowns, data: SegmentedData) -> LinearizedSegment:
-        """All segments about their starts and the parameters, (experiments, segments, ...)."""
+        """All segments linearised about their initial states and the parameters, (experiments, segments, ...)."""
 
         def one(x: Arrays, rows: Any, P0: jax.Array) -> LinearizedSegment:
             return self.segments.linearized(x, unknowns.theta, rows, data.params, P0)
@@ -83,7 +86,7 @@ class ShootingSteps:
     def cost(
         self, unknowns: SegmentUnknowns, segments: LinearizedSegment, data: SegmentedData, prior: Prior
     ) -> jax.Array:
-        """The negative logarithm of the posterior density, and weighted gaps."""
+        """The negative log posterior density, and the weighted gaps."""
 
         def one(starts: Arrays, segments: LinearizedSegment, start: StartEstimate) -> Any:
             gap = jax.vmap(lambda end, following: self.group.difference(following, end))
@@ -104,7 +107,7 @@ class ShootingSteps:
         prior: Prior,
         closed: Any = 1.0,
     ) -> Condensed:
-        """The linearised problem about the unknowns, which closes a fraction of all gaps."""
+        """The linearised problem about the unknowns, in which a fraction of all gaps is closed."""
         n, p, theta = self.group.dimension, unknowns.theta.size, unknowns.theta
         count = len(data.starts.unknown)
 
@@ -134,7 +137,9 @@ class ShootingSteps:
         return Condensed(cost, likelihood, gradient, information, of_data, tangents, gaps)
 
     def free(self, problem: Condensed, unknowns: SegmentUnknowns, data: SegmentedData, prior: Prior) -> jax.Array:
-        """Which entries of z may move: not what is known, nor parameters that a bound holds against the gradient."""
+        """The entries of z that may change: not known ones, nor parameters at a bound that the gradient points
+        beyond.
+        """
         slope = problem.gradient[-unknowns.theta.size :]
         low, high = prior.limits
         blocked = ((unknowns.theta <= low) & (slope > 0.0)) | ((unknowns.theta >= high) & (slope < 0.0))
@@ -169,7 +174,9 @@ class ShootingSteps:
         return SegmentUnknowns(starts, theta, weights), size, before
 
     def start_step(self, x: Arrays, segment: LinearizedSegment, damping: jax.Array) -> tuple[Arrays, jax.Array]:
-        """A step of the start of one segment to its measurements alone, at constant parameters, and its size."""
+        """A step of the initial state of one segment, fitted to its measurements alone with constant parameters, and
+        its size.
+        """
         n = self.group.dimension
         N, g = segment.information[:n, :n], segment.gradient[:n]
         d = -damped_solve(N, g, jnp.ones(n, bool), damping)
@@ -177,12 +184,14 @@ class ShootingSteps:
 
 
 def solved(problem: Condensed, free: jax.Array, damping: jax.Array) -> jax.Array:
-    """$(N + damping diag N)^+ g$ among the free entries."""
+    """The solution $(N + damping diag N)^+ g$ for the free entries."""
     return damped_solve(problem.information, problem.gradient, free, damping)
 
 
 def damped_solve(N: jax.Array, g: jax.Array, free: jax.Array, damping: jax.Array) -> jax.Array:
-    """$(N + damping diag N)^+ g$ in entries scaled to a unit diagonal; zero in those that are not free."""
+    """The solution $(N + damping diag N)^+ g$ with entries scaled to a unit diagonal; zero for entries that are not
+    free.
+    """
     values, vectors, scale = scaled_eigenvalues(N, free)
     small = values <= _SINGULAR * float(jnp.finfo(N.dtype).eps)
     inverse = jnp.where(small, 0.0, 1.0 / jnp.where(small, 1.0, values + damping))
@@ -190,7 +199,9 @@ def damped_solve(N: jax.Array, g: jax.Array, free: jax.Array, damping: jax.Array
 
 
 def scaled_eigenvalues(N: jax.Array, free: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Eigenvalues and eigenvectors of $D N D$ with a unit diagonal, and D, (n,): zero for entries that are not free."""
+    """Eigenvalues and eigenvectors of $D N D$, which has a unit diagonal, and D, (n,): zero for entries that are not
+    free.
+    """
     size = jnp.sqrt(jnp.where(free, jnp.diag(N), 0.0))
     scale = jnp.where(size > 0.0, 1.0 / jnp.where(size > 0.0, size, 1.0), 0.0)
     matrix = N * scale[:, None] * scale[None, :]

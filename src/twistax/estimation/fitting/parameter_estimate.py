@@ -1,4 +1,4 @@
-"""What a fit returns: parameters, their covariance, and what the data does not determine."""
+"""The result of a fit: parameters, their covariance, and undetermined combinations."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from ...linear.labels import labels
 from ...system.dynamics import Arrays
 from ..observability import named, normalized, reduced
 
-#: An estimate is one where a further step would gain less than this in the logarithm of the likelihood: parameters
-#: are then within 1.4 thousandths of their standard deviation.
+#: A fit is converged if a further step would increase the log-likelihood by less than this: parameters are then within
+#: 0.0014 standard deviations.
 _GAIN = 1e-6
 #: Eigenvalues of the scaled information below it count as zero, in units of the round-off.
 _UNDETERMINED = 1e5
@@ -26,8 +26,8 @@ class Combination(NamedTuple):
     """A combination $c^T theta$ of parameters that the data determine, in the units of the parameters.
 
     Attributes:
-        name: such as "length" or "mass + 0.5 load".
-        coefficients: (p,), of all entries of free parameters in their order.
+        name: name such as "length" or "mass + 0.5 load".
+        coefficients: (p,) for all entries of free parameters, in their order.
         value, deviation: the estimate, and its standard deviation.
     """
 
@@ -40,22 +40,23 @@ class Combination(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class ParameterEstimate:
-    """The maximum-likelihood parameters, with standard deviations $(N^-1)_ii^(1/2)$ in their units.
+    """The maximum-likelihood parameters, with standard deviations $((N^-1)_ii)^(1/2)$ in their units.
 
-    A pytree: `jax.vmap` over data puts an axis in front of its arrays.
+    A pytree: `jax.vmap` over data adds a leading axis to its arrays.
 
     Attributes:
         params: the free parameters by name.
         x0: the states at the start of each experiment by name, (experiments, *shape).
-        information: (p, p) Fisher's information on the parameters, less what the unknown starts take of it; without
-            their priors.
-        prior_information: (p, p), that of the priors.
-        cost: the negative logarithm of the posterior density.
-        squares: the sum of $e^T S^-1 e$ over all measurements; its mean is `residuals` less the unknowns.
+        information: (p, p) Fisher's information about the parameters, with unknown initial states eliminated and
+            without priors.
+        prior_information: (p, p) information of the priors.
+        cost: the negative log posterior density.
+        squares: the sum of $e^T S^-1 e$ over all measurements; its expected value is `residuals` minus the number of
+            unknowns.
         residuals: the number of entries of all measurements.
-        gain: what another Gauss-Newton step would add to the logarithm of the posterior density.
-        on_bound: (p,), whether a bound holds the parameter against the data.
-        iterations: how many steps were tried.
+        gain: the increase of the log posterior density by another Gauss-Newton step.
+        on_bound: (p,), whether the parameter is at a bound, and the data fit better with a value beyond it.
+        iterations: the number of steps that were tried.
         shapes: names and shapes of the free parameters in the order of p.
     """
 
@@ -73,7 +74,7 @@ class ParameterEstimate:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The p entries of the free parameters."""
+        """The names of the p entries of the free parameters."""
         return labels(dict(self.shapes))
 
     @property
@@ -81,7 +82,8 @@ class ParameterEstimate:
         """ "successful", or the cause of the failure, determined from one simulation of each experiment with the
         estimate.
 
-        A fit is successful if a further step gains less than 1e-6 and all parameters are determined.
+        A fit is successful if a further step would increase the log-likelihood by less than 1e-6, and all parameters
+        are determined.
         """
         gain = np.max(np.asarray(self.gain))
         if not np.isfinite(np.asarray(self.cost)).all() or not np.isfinite(gain):
@@ -102,7 +104,7 @@ class ParameterEstimate:
 
     @property
     def converged(self) -> bool:
-        """Whether the estimate is a maximum of the posterior density, determined or not."""
+        """Whether the estimate is a maximum of the posterior density, unique or not."""
         return self.result == "successful" or self.result.startswith("undetermined")
 
     # ---- what the data tells -----------------------------------------------------------------------------------------
@@ -121,7 +123,8 @@ class ParameterEstimate:
 
     @property
     def undetermined(self) -> tuple[str, ...]:
-        """The combinations that no measurement depends on, to first order about the estimate and without priors.
+        """The combinations of parameters on which no measurement depends, to first order about the estimate and without
+        priors.
 
         They keep their initial values, or those of their priors.
         """
@@ -132,7 +135,7 @@ class ParameterEstimate:
     def combinations(self) -> tuple[Combination, ...]:
         """The combinations that the data determine: the parameters, if all of them are determined.
 
-        A combination $c^T theta$ has the variance $c^T N^+ c$, N the information of data and priors.
+        A combination $c^T theta$ has the variance $c^T N^+ c$, with N the information of data and priors.
 
         Source: M. Gautier, Numerical Calculation of the Base Inertial Parameters of Robots, J. of Robotic Systems 8
         (1991), for the choice of combinations.
@@ -160,16 +163,18 @@ class ParameterEstimate:
 
     @property
     def covariance(self) -> np.ndarray:
-        """(p, p) of the free parameters, the inverse of Fisher's information with that of the priors.
+        """The covariance (p, p) of the free parameters: the inverse of Fisher's information, including that of the
+        priors.
 
-        Raises: EstimationError where data and priors leave a combination undetermined.
+        Raises: EstimationError if data and priors leave a combination undetermined.
         """
         _, vectors, scale, counts = self._eigenvalues(True)
         if not counts.all():
             rows = reduced((vectors[:, ~counts] * scale[:, None]).T)
             raise EstimationError(
-                f"the data does not determine {', '.join(named(row, self.names) for row in rows)}, so there is no "
-                "covariance of all parameters.\n  fix: fit.combinations; priors=..., fewer free parameters, other data"
+                f"the data does not determine {', '.join(named(row, self.names) for row in rows)}, so the "
+                "covariance of all parameters is not defined.\n"
+                "  fix: use fit.combinations, or pass priors=..., fewer free parameters or other data"
             )
         return self._pseudo_inverse()
 
@@ -196,6 +201,6 @@ class ParameterEstimate:
 
     @property
     def names_on_bounds(self) -> tuple[str, ...]:
-        """The entries that lie at a bound."""
+        """The names of the entries that lie at a bound."""
         blocked: Any = np.asarray(self.on_bound).reshape(-1, len(self.names)).any(axis=0)
         return tuple(name for name, is_held in zip(self.names, blocked) if is_held)

@@ -1,4 +1,4 @@
-"""The search for the most likely parameters: one loop that linearises all segments once in each pass."""
+"""The maximum-likelihood search: one loop that linearises all segments once in each pass."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ _STATE_STEPS = 20
 
 
 class FitState(NamedTuple):
-    """What a pass of the search leaves to the next one.
+    """The state of the search between two passes.
 
     Attributes:
-        stage, passes: the stage of the search, and how many passes it has made.
-        unknowns, segments: the best unknowns, and all segments about them.
-        damping, settled: of the steps of each segment (experiments, segments), and whether it makes no further ones.
-        iterations: the passes in which parameters moved.
+        stage, passes: the stage of the search, and the number of passes in this stage.
+        unknowns, segments: the best unknowns, and all segments linearised about them.
+        damping, settled: damping of the steps of each segment (experiments, segments), and whether it is converged.
+        iterations: the number of passes in which parameters changed.
     """
 
     stage: jax.Array
@@ -46,10 +46,10 @@ class SearchStage(NamedTuple):
     """A stage of the search.
 
     Attributes:
-        propose: what a pass tries.
-        moving: which segments take part.
-        most: passes at most.
-        is_tried: whether a pass is taken only if it lowers the cost.
+        propose: the unknowns that a pass tries.
+        moving: the segments that take part.
+        most: the largest number of passes.
+        is_tried: whether a pass is accepted only if it lowers the cost.
     """
 
     propose: Callable[[FitState], Candidate]
@@ -59,19 +59,19 @@ class SearchStage(NamedTuple):
 
 
 class ShootingSearch:
-    """The search from the starts of experiments to parameters, in stages.
+    """The search for parameters and initial states, in stages.
 
-    All segments are simulated from the first. The start of each is fitted to its measurements. Steps of Gauss-Newton
-    and Levenberg-Marquardt move parameters and starts. At last each experiment is simulated as one. One segment is
-    simulated, and its parameters move.
+    First, all segments are simulated successively. Second, the initial state of each segment is fitted to its
+    measurements. Third, Gauss-Newton and Levenberg-Marquardt steps change parameters and initial states. Finally, each
+    experiment is simulated as a whole. With a single segment, it is simulated, and its parameters are fitted.
 
-    What a pass tries is linearised once, for its cost and for the pass after it. All stages share that program, which
-    takes nearly all of the time to compile.
+    The unknowns that a pass tries are linearised once, for their cost and for the next pass. All stages share that
+    program, which takes nearly all of the compile time.
 
     Args:
-        data, prior: arrays, traced ones too.
-        tolerance: steps of a smaller size, in standard deviations, end a stage.
-        max_iterations: steps of parameters at most.
+        data, prior: arrays, which may be traced.
+        tolerance: a stage ends when steps are smaller than this, in standard deviations.
+        max_iterations: the largest number of steps of the parameters.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class ShootingSearch:
         self.stages, self.place = stages, stages.index(move)
 
     def run(self, theta: jax.Array) -> FitState:
-        """The last state of the search from these parameters."""
+        """The final state of the search, from these parameters."""
         going = lambda state: state.stage < len(self.stages)  # noqa: E731
         state: FitState = jax.lax.while_loop(going, self._advanced, self._first(theta))
         return state

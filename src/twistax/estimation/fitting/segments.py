@@ -1,4 +1,4 @@
-"""A segment of a record: its end, and what its measurements tell of its start and of the parameters."""
+"""A segment of a record: its end, and the likelihood of its measurements with derivatives."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .experiment import RecordRows
 
 
 class Innovation(NamedTuple):
-    """Residuals (k, m) of a measurement, their covariances (k, m, m), and which of them exist (k,)."""
+    """Residuals (k, m) of a measurement, their covariances (k, m, m), and which of them are present (k,)."""
 
     residual: jax.Array
     S: jax.Array
@@ -29,7 +29,7 @@ class Innovation(NamedTuple):
 
 
 class Likelihood(NamedTuple):
-    """The negative logarithm of a likelihood, and the sum of normalised squares in it.
+    """The negative log-likelihood, and the sum of normalised squares in it.
 
     Attributes:
         cost, squares: $1/2 sum (rho(s) + log det S + m log 2 pi)$ and $sum s$, where $s = e^T S^-1 e$ and rho(s) = s
@@ -41,13 +41,13 @@ class Likelihood(NamedTuple):
 
 
 class LinearizedSegment(NamedTuple):
-    """A segment about its start x and the parameters, of the tangent z = [d; theta] of (q,).
+    """A segment linearised about its initial state x and the parameters; the tangent is z = [d; theta], (q,).
 
     Attributes:
-        end: the last state.
-        slope: (n, q), the tangent of the end by z.
-        likelihood: of its measurements.
-        gradient, information: (q,), (q, q) of the cost; the information is Fisher's.
+        end: the final state.
+        slope: (n, q), the derivative of the final state with respect to z.
+        likelihood: the likelihood of its measurements.
+        gradient, information: (q,), (q, q), derivatives of the cost; the information is Fisher's.
     """
 
     end: Arrays
@@ -58,12 +58,12 @@ class LinearizedSegment(NamedTuple):
 
 
 class Segments:
-    """The likelihood of segments of records, as a function of their starts and of free parameters.
+    """The likelihood of segments of records, as a function of their initial states and of free parameters.
 
-    Without noise in the rates a segment is simulated from its start, the covariance S of a residual e is that of the
-    measurement, and the estimate is that of the output error method. With noise e and S are the innovations of the
-    error-state filter: the filter error method. A residual with a robust loss counts with its weight in the gradient
-    and in the information, as in iteratively reweighted least squares.
+    Without noise in the rates, a segment is simulated from its initial state, and the covariance S of a residual e is
+    that of the measurement: the output error method. With noise, e and S are the innovations of the error-state filter:
+    the filter error method. A residual with a robust loss is multiplied by its weight in the gradient and in the
+    information, as in iteratively reweighted least squares.
 
     Source: Maine, Iliff, Identification of dynamic systems, NASA RP-1138 (1985), sec. 7 and 8; Huber, Robust
     statistics (1981), sec. 7.8.
@@ -91,7 +91,7 @@ class Segments:
     def simulated(
         self, x: Arrays, theta: jax.Array, rows: RecordRows, params: Arrays, P0: jax.Array | None = None
     ) -> tuple[Arrays, dict[str, Innovation]]:
-        """The end of a segment and its innovations. P0 is the covariance of a filter at its start, zero if left out."""
+        """The end of a segment and its innovations. P0 is the initial covariance of a filter; zero by default."""
         free = {name: theta[part].reshape(shape) for name, (part, shape) in self.free.items()}
         values = {**params, **free}
         if self.model.process:
@@ -128,7 +128,7 @@ class Segments:
     def linearized(
         self, x: Arrays, theta: jax.Array, rows: RecordRows, params: Arrays, P0: jax.Array | None = None
     ) -> LinearizedSegment:
-        """A segment and the derivatives of its likelihood."""
+        """A segment, with the derivatives of its likelihood."""
         group, n = self.model.group, self.model.dimension
 
         def moved(z: jax.Array) -> Any:
@@ -150,7 +150,7 @@ class Segments:
 
 
 def gap_and_slopes(group: Any, end: Arrays, start: Arrays) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """$Log(start^-1 end)$, (n,), and its derivatives by the start and by the end, (n, n)."""
+    """The gap $Log(start^-1 end)$, (n,), and its derivatives with respect to the start and the end, (n, n)."""
     n = group.dimension
 
     def gap(z: jax.Array) -> jax.Array:

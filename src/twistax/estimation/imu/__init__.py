@@ -1,1 +1,1 @@
-"""Inertial measurement units: noise from readings at rest, and preintegrated motion."""
+"""Inertial measurement units: noise densities from readings at rest, and preintegration."""

@@ -1,4 +1,4 @@
-"""Densities of noise from readings of a sensor at rest: the Allan variance."""
+"""Noise densities from readings of a sensor at rest: the Allan variance."""
 
 from __future__ import annotations
 
@@ -10,21 +10,23 @@ import numpy as np
 from ...checks import number, reals
 from ...errors import InputError, ShapeError
 
-#: How often the weights of the fit are renewed with the fitted variance; it changes by less than 1 % after three.
+#: The number of iterations in which the weights of the fit are recomputed with the fitted variance; after three it
+#: changes by less than 1 %.
 _FITS = 5
 
 
 @dataclasses.dataclass(frozen=True)
 class AllanVariance:
-    """The Allan variance of readings, and the noise that explains it.
+    """The Allan variance of readings, and the noise parameters that explain it.
 
     Attributes:
-        taus: (k,) times over which readings are averaged, s.
+        taus: (k,) averaging times of the readings, s.
         deviations: (k,) roots of the variances, in the unit of the readings.
-        density: S of white noise in the readings, in their unit per $Hz^(1/2)$: the density of a `tx.Noise`.
-        walk: K of their random walk, in their unit per s per $Hz^(1/2)$: the density of the Noise that drives a bias.
-        instability: B of flicker noise, in the unit of the readings.
-        quantization: Q, in their unit times s.
+        density: density S of white noise in the readings, in their unit per $Hz^(1/2)$: the density of a `tx.Noise`.
+        walk: density K of their random walk, in their unit per s per $Hz^(1/2)$: the density of the Noise that drives a
+            bias.
+        instability: coefficient B of flicker noise, in the unit of the readings.
+        quantization: coefficient Q of quantisation noise, in their unit times s.
     """
 
     taus: np.ndarray
@@ -35,32 +37,32 @@ class AllanVariance:
     quantization: float
 
     def fitted(self) -> np.ndarray:
-        """The deviations (k,) that the four numbers predict at `taus`."""
+        """The deviations (k,) predicted at `taus` by the four fitted coefficients."""
         squares = np.array([self.density, self.walk, self.instability, self.quantization]) ** 2
         return np.sqrt(_terms(self.taus) @ squares)
 
 
 def allan(readings: Any, period: Any) -> AllanVariance:
-    """The overlapping Allan variance of readings at rest, and densities of noise by a fit to it.
+    """The overlapping Allan variance of readings at rest, and noise densities by a fit to it.
 
     The variance over the time tau is half the mean square of the difference of successive averages. The fit is
 
         $sigma^2(tau) = S^2 / tau + (2 ln 2 / pi) B^2 + K^2 tau / 3 + 3 Q^2 / tau^2$
 
-    with coefficients that are not negative, each variance weighted by its degrees of freedom. A coefficient for which
-    the record is too short is zero or poor: the walk needs times at which it exceeds the white noise, $tau > 3^(1/2) S
-    / K$.
+    with non-negative coefficients, each variance weighted by its degrees of freedom. A coefficient for which the record
+    is too short is zero or inaccurate: the random walk needs averaging times at which it exceeds the white noise, $tau
+    > 3^(1/2) S / K$.
 
     Args:
-        readings: (n,) of one axis, equally spaced, n of 100 or more.
-        period: s between them.
+        readings: (n,) readings of one axis, equally spaced, n of 100 or more.
+        period: time between readings, s.
     Raises:
-        InputError, ShapeError: another shape, too few readings, numbers that are not finite.
+        InputError, ShapeError: readings of another shape, too few readings, or numbers that are not finite.
 
     Example: `tx.Noise("gyro", shape=(3,), density=tx.estimation.allan(rates, 0.01).density)`.
 
-    Source: IEEE Std 952-1997, annex C; for the overlapping estimate and its degrees of freedom of white noise Riley,
-    Handbook of Frequency Stability Analysis, NIST SP 1065 (2008), sec. 5.2 and 5.4.
+    Source: IEEE Std 952-1997, annex C; the overlapping estimate and its degrees of freedom for white noise are from
+    Riley, Handbook of Frequency Stability Analysis, NIST SP 1065 (2008), sec. 5.2 and 5.4.
     """
     from scipy.optimize import nnls
 
@@ -69,7 +71,9 @@ def allan(readings: Any, period: Any) -> AllanVariance:
     if values.ndim != 1 or len(values) < 100:
         raise ShapeError(f"readings expects shape (n,) with n of 100 or more, got {values.shape}")
     if not np.isfinite(values).all():
-        raise InputError("readings expects finite numbers, got others.\n  fix: leave them out, or interpolate")
+        raise InputError(
+            "readings expects finite numbers, got NaN or infinite ones.\n  fix: remove them, or interpolate"
+        )
     n = len(values)
     counts = np.unique(np.round(np.geomspace(1, n // 5, 60)).astype(int))
     angle = np.concatenate([[0.0], np.cumsum(values - values.mean())]) * step

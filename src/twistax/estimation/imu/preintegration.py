@@ -1,4 +1,6 @@
-"""Readings of an inertial measurement unit between two times as one relative motion, with its covariance."""
+"""Preintegration: the readings of an inertial measurement unit between two times as one relative motion, with its
+covariance.
+"""
 
 from __future__ import annotations
 
@@ -39,13 +41,14 @@ class InertialState(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class PreintegratedImu:
-    """The motion between two times relative to the first, from the readings alone. A pytree.
+    """The relative motion between two times, computed from the readings alone. A pytree.
 
     Attributes:
         duration: T, s.
         rotation, velocity, position: $R_0^T R_1$; $R_0^T (v_1 - v_0 - g T)$; $R_0^T (p_1 - p_0 - v_0 T - g T^2 / 2)$.
-        covariance: (9, 9) of $d = [phi; dv; dp]$: the rotation is $R Exp(phi)$, the vectors $v + dv$ and $p + dp$.
-        jacobian: (9, 6), the derivative of d by the biases of gyroscope and accelerometer.
+        covariance: (9, 9) covariance of the error $d = [phi; dv; dp]$: the true rotation is $R Exp(phi)$, the true
+            vectors are $v + dv$ and $p + dp$.
+        jacobian: (9, 6), the derivative of d with respect to the biases of gyroscope and accelerometer.
         bias: (6,), the biases that were subtracted: rad/s and m/s2.
     """
 
@@ -58,7 +61,8 @@ class PreintegratedImu:
     bias: jax.Array
 
     def corrected(self, bias: Input) -> InertialState:
-        """The relative motion for other biases (6,), to first order in their change. Raises ShapeError.
+        """The relative motion for other biases (6,), to first order in their change. Raises ShapeError for another
+        shape.
 
         Source: Forster et al. (2017), eq. 44.
         """
@@ -68,7 +72,9 @@ class PreintegratedImu:
         return InertialState(moved["R"], moved["v"], moved["p"])
 
     def predict(self, start: InertialState, gravity: Input, bias: Input | None = None) -> InertialState:
-        """The state at the end from that at the start, gravity (3,) in m/s2 and biases (6,). Raises ShapeError."""
+        """The state at the end, from the state at the start, gravity (3,) in m/s2 and biases (6,). Raises ShapeError
+        for another shape.
+        """
         delta, T = self._delta(bias), self.duration
         R, v, p, g = of_shape("predict", {**_STATE, "gravity": (3,)}, *start, gravity)
         return InertialState(
@@ -80,7 +86,7 @@ class PreintegratedImu:
     def residual(
         self, start: InertialState, end: InertialState, gravity: Input, bias: Input | None = None
     ) -> jax.Array:
-        """The residual (9,) between the states at both ends and the readings, with the covariance `covariance`.
+        """The residual (9,) between the states at both ends and the readings; its covariance is `covariance`.
 
         Raises: ShapeError.
 
@@ -101,18 +107,18 @@ class PreintegratedImu:
 
 
 class Preintegration:
-    """Integration of gyroscope and accelerometer between two times, in the frame of the first.
+    """Integration of gyroscope and accelerometer readings between two times, in the body frame at the first time.
 
     The result does not depend on states, so an optimiser that changes the states does not repeat the integration.
     Biases are corrected to first order. Readings are constant over each interval, and the motion is exact for them:
 
         $R' = R Exp(w h), v' = v + R G_1(w h) a h, p' = p + v h + R G_2(w h) a h^2, G_m(x) = sum_n hat(x)^n / (n + m)!$,
 
-    where Forster et al. take one step of Euler's method. Traceable.
+    where Forster et al. use one step of Euler's method. Traceable.
 
     Args:
-        gyro: density of its white noise, rad/s per $Hz^(1/2)$: a number or one for each axis.
-        accelerometer: the same in m/s2 per $Hz^(1/2)$.
+        gyro: density of the gyroscope's white noise, rad/s per $Hz^(1/2)$: a number or one for each axis.
+        accelerometer: density of the accelerometer's white noise, m/s2 per $Hz^(1/2)$.
     Raises:
         ModelError: densities that are negative or of another shape.
 
@@ -130,8 +136,8 @@ class Preintegration:
 
         Args:
             gyro: (k, 3) in rad/s; accelerometer: (k, 3) in m/s2, specific forces.
-            h: s, how long each is held: a number or (k,).
-            bias: (6,) of both, subtracted; zero if left out.
+            h: length of the interval of each reading, s: a number or (k,).
+            bias: (6,) biases of both, which are subtracted; zero by default.
         Raises: InputError, ShapeError for invalid readings.
         """
         (rates,) = floats(gyro, names=["gyro"])

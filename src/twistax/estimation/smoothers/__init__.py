@@ -1,1 +1,1 @@
-"""Estimates that use measurements of later times too."""
+"""Smoothers: estimates that use measurements of later times, too."""

@@ -1,4 +1,4 @@
-"""The most probable states over all times at once, by Gauss-Newton and Levenberg-Marquardt steps."""
+"""Batch smoother: the most probable states over all times, by Gauss-Newton and Levenberg-Marquardt steps."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ class BatchEstimate:
     Attributes:
         ts: (k,) times in s.
         xs: states by name, (k, *shape).
-        P: (k, n, n), covariances of d in $x_true = x Exp(d)$, of the problem linearised about the states.
+        P: (k, n, n), covariances of d in $x_true = x Exp(d)$, from the problem linearised about the states.
         cost: half the sum of losses of all residuals.
-        weights: by measurement, (k,) $rho'(s)$ of each record; 0 where it is missing.
-        iterations: how many steps were tried.
-        step: the last change of the states, in root mean square standard deviations.
-        converged: whether it fell below the tolerance.
+        weights: by measurement, (k,) weights $rho'(s)$ of the records; 0 for missing ones.
+        iterations: the number of steps that were tried.
+        step: the root mean square of the last change of the states, in standard deviations.
+        converged: whether `step` is below the tolerance.
     """
 
     ts: jax.Array
@@ -84,29 +84,30 @@ class _Data(NamedTuple):
 class BatchSmoother:
     """The states at all times that maximise the posterior density of nonlinear dynamics and measurements.
 
-    With the prediction f over an interval, the covariance Q of its noise, and residuals r of measurements, it minimises
+    With the prediction f over an interval, the covariance Q of its noise, and residuals r of measurements, the smoother
+    minimises
 
         $1/2 d_0^T P_0^-1 d_0 + 1/2 sum_k d_k^T Q^-1 d_k + 1/2 sum rho(r^T R^-1 r)$,
 
     where d_0 is the difference of the first state from its estimate, and d_k that of a state from its prediction.
 
-    A Gauss-Newton step is the smoother of the linearised problem: a Riccati recursion over the stages, of cost linear
-    in their number. No covariance is inverted, so states without noise are allowed; they obey their dynamics at each
-    iterate. A step that raises the cost is tried again with Levenberg-Marquardt damping. The first iterate is that of
-    `ErrorStateKalman` and `RauchTungStriebel`.
+    A Gauss-Newton step is the smoother of the linearised problem: a Riccati recursion over the stages, whose cost is
+    linear in their number. No covariance is inverted, so states without noise are supported; they satisfy their
+    dynamics at each iterate. A step that increases the cost is repeated with Levenberg-Marquardt damping. The first
+    iterate is that of `ErrorStateKalman` and `RauchTungStriebel`.
 
     Args:
-        dynamics, measurements, method, max_step: as of `ErrorStateKalman`.
-        losses: by measurement a `RobustLoss`; squares if left out.
-        max_iterations: steps at most.
-        tolerance: the last step in standard deviations; the square root of the round-off if left out.
+        dynamics, measurements, method, max_step: as for `ErrorStateKalman`.
+        losses: by measurement a `RobustLoss`; by default squares.
+        max_iterations: the largest number of steps.
+        tolerance: the size of the last step in standard deviations; by default the square root of the machine epsilon.
     Raises:
-        ModelError: what `ErrorStateKalman` refuses; a loss that is none, or of an unknown measurement.
+        ModelError: the errors of `ErrorStateKalman`; an object that is not a loss, or a loss of an unknown measurement.
 
     Example: `tx.estimation.BatchSmoother(dynamics, [gps]).run({"gps": (times, positions)}, x0, P0).xs`.
 
-    Source: Bell, The iterated Kalman smoother as a Gauss-Newton method, SIAM J. Optim. 4 (1994); damped steps Sarkka,
-    Svensson, Levenberg-Marquardt and line-search extended Kalman smoothers, ICASSP (2020).
+    Source: Bell, The iterated Kalman smoother as a Gauss-Newton method, SIAM J. Optim. 4 (1994); for damped steps
+    Sarkka, Svensson, Levenberg-Marquardt and line-search extended Kalman smoothers, ICASSP (2020).
     """
 
     def __init__(
@@ -144,10 +145,10 @@ class BatchSmoother:
         """The most probable states over records. Arguments are those of a filter's run.
 
         Args:
-            guess: initial states by name at all times, (k, *shape); by default the smoothed ones of a filter.
+            guess: initial states by name at all times, (k, *shape); by default the smoothed states of a filter.
         Raises:
-            InputError, ShapeError, EstimationError: what the run of a filter raises; a guess that does not fit;
-                iterations that do not converge, unless traced.
+            InputError, ShapeError, EstimationError: the errors of a filter's run; a guess of the wrong shape;
+                iterations that do not converge, unless values are traced.
         """
         stages = self.kalman.staged(records, x0, P0, t0, u, params, save_at)
         if guess is None:
@@ -162,7 +163,8 @@ class BatchSmoother:
         estimate = BatchEstimate(stages.ts, xs, P, cost, by_record, last.iterations, last.step, last.done)
         if not is_traced(cost) and (result := estimate.result) != "successful":
             raise EstimationError(
-                f"the batch of measurements is {result}.\n  fix: another guess=..., max_iterations=..., robust losses"
+                f"the batch smoother is {result}.\n"
+                "  fix: pass another guess=..., a larger max_iterations=..., or robust losses"
             )
         return estimate
 

@@ -1,4 +1,4 @@
-"""Gauss-Newton steps that are damped after Levenberg and Marquardt where they do not help."""
+"""Gauss-Newton steps with Levenberg-Marquardt damping after steps that increase the cost."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-#: The first damping after a step that raised the cost, and the factor between two.
+#: The first damping after a step that increased the cost, and the factor between successive values.
 _DAMPING, _FACTOR = 1e-2, 10.0
-#: A search ends where steps of this damping raise the cost.
+#: A search ends if steps with this damping increase the cost.
 MOST_DAMPING = 1e8
 
 #: (value, damping) -> (new value, whether it is better, size of the step).
@@ -18,7 +18,9 @@ Tried = Callable[[Any, jax.Array], tuple[Any, jax.Array, jax.Array]]
 
 
 class LeastSquaresIterate(NamedTuple):
-    """The value of an iteration, any pytree, the damping of the next step, and the size of the last one."""
+    """The value of an iteration, which may be any pytree, the damping of the next step, and the size of the last
+    one.
+    """
 
     value: Any
     damping: jax.Array
@@ -28,11 +30,12 @@ class LeastSquaresIterate(NamedTuple):
 
 
 def levenberg_marquardt(start: Any, tried: Tried, tolerance: jax.Array, max_iterations: int) -> LeastSquaresIterate:
-    """The last iterate. A step is taken if it is better; the damping falls after it to zero, else it rises.
+    """The last iterate. A step is accepted if it is better; the damping then decreases, eventually to zero; otherwise
+    it increases.
 
     Args:
-        tried: a step, and whether it lowers the cost.
-        tolerance: an undamped step of a size below it is the last one.
+        tried: a function that returns a step, and whether it lowers the cost.
+        tolerance: the iteration ends after an undamped step of a smaller size.
 
     Source: Marquardt, An algorithm for least-squares estimation of nonlinear parameters, SIAM J. Appl. Math. 11 (1963).
     """
@@ -56,6 +59,8 @@ def levenberg_marquardt(start: Any, tried: Tried, tolerance: jax.Array, max_iter
 
 
 def next_damping(damping: jax.Array, better: jax.Array) -> jax.Array:
-    """It falls after a step that lowered the cost, to zero in the end, and rises after others."""
+    """The next damping: it decreases after a step that lowered the cost, eventually to zero, and increases after
+    others.
+    """
     down = jnp.where(damping > _DAMPING, damping / _FACTOR, 0.0)
     return jnp.where(better, down, jnp.maximum(damping * _FACTOR, _DAMPING))

@@ -1,4 +1,4 @@
-"""A linearised problem of estimation in stages, and its smoother: one Riccati recursion forward, one pass back."""
+"""A linearised estimation problem in stages, and its smoother: a forward Riccati recursion, and a backward pass."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ from .smoother import smoother_gain
 
 
 class Sensed(NamedTuple):
-    """A measurement about a state: $r = H d + v$, the covariance R of v, and its weight; 0 where it is missing."""
+    """A measurement about a state: $r = H d + v$, the covariance R of v, and its weight; 0 for a missing
+    measurement.
+    """
 
     residual: jax.Array
     H: jax.Array
@@ -22,7 +24,9 @@ class Sensed(NamedTuple):
 
 
 class LinearStage(NamedTuple):
-    """$d_k = F d_(k-1) - e + w$ with the covariance Q of w, and measurements by name. F of the first stage is zero."""
+    """A stage $d_k = F d_(k-1) - e + w$ with the covariance Q of w, and measurements by name. F of the first stage is
+    zero.
+    """
 
     F: jax.Array
     e: jax.Array
@@ -34,8 +38,8 @@ def smoothed(stages: LinearStage, damping: jax.Array, scale: jax.Array) -> tuple
     """The most probable d (k, n) and their covariances (k, n, n).
 
     Args:
-        stages: with a leading axis of times.
-        damping: of steps; d is measured as zero with the covariance scale / damping.
+        stages: the stages, with a leading axis of times.
+        damping: damping of steps: a measurement d = 0 with the covariance scale / damping is added.
         scale: (k, n), squares of the units of d.
     """
 
@@ -79,7 +83,7 @@ def _measured(m: jax.Array, P: jax.Array, sensed: Sensed) -> tuple[jax.Array, ja
 def in_range(Q: jax.Array, e: jax.Array) -> tuple[jax.Array, jax.Array]:
     """The part of e in the range of a positive semidefinite Q, and its square $e^T Q^+ e$.
 
-    Entries have units of their own, so directions are those of the correlations of Q.
+    Entries have different units, so the range is computed from the correlation matrix of Q.
     """
     size = jnp.sqrt(jnp.diag(Q))
     scale = jnp.where(size > 0.0, size, 1.0)

@@ -1,4 +1,4 @@
-"""Losses of residuals that count outliers less than squares do."""
+"""Robust losses: losses of residuals that give outliers less weight than squares."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ class RobustLoss(ABC):
 
     @abstractmethod
     def weight(self, s: jax.Array) -> jax.Array:
-        """$rho'(s)$, by which the information of the measurement is multiplied."""
+        """The derivative $rho'(s)$, by which the information of the measurement is multiplied."""
 
 
 def checked_losses(losses: Mapping[str, RobustLoss] | None, measurements: Iterable[str]) -> dict[str, RobustLoss]:
-    """Losses by measurement. Raises ModelError for another type, or an unknown measurement."""
+    """Losses by measurement. Raises ModelError for an object of another type, or an unknown measurement."""
     checked, known = dict(losses or {}), list(measurements)
     for name, loss in checked.items():
         if name not in known:
@@ -45,11 +45,11 @@ def _check(loss: RobustLoss, width: float) -> None:
 
 @dataclasses.dataclass(frozen=True)
 class HuberLoss(RobustLoss):
-    """rho(s) = s up to a residual of `width` standard deviations w, and $2 w s^(1/2) - w^2$ beyond, linear in the
-    residual.
+    """The Huber loss: rho(s) = s up to a residual of w standard deviations, and $2 w s^(1/2) - w^2$ beyond, linear in
+    the residual.
 
     Attributes:
-        width: w, dimensionless.
+        width: w, in standard deviations.
     Raises: ModelError for a width that is not positive.
 
     Source: Huber, Robust estimation of a location parameter, Ann. Math. Statist. 35 (1964).
@@ -72,13 +72,13 @@ class HuberLoss(RobustLoss):
 
 @dataclasses.dataclass(frozen=True)
 class CauchyLoss(RobustLoss):
-    """$rho(s) = w^2 log(1 + s / w^2)$: large outliers have almost no weight.
+    """The Cauchy (Lorentzian) loss $rho(s) = w^2 log(1 + s / w^2)$: large outliers have almost no weight.
 
     Attributes:
-        width: w, dimensionless.
+        width: w, in standard deviations.
     Raises: ModelError for a width that is not positive.
 
-    Source: Black, Anandan, The robust estimation of multiple motions, CVIU 63 (1996), of the Lorentzian.
+    Source: Black, Anandan, The robust estimation of multiple motions, CVIU 63 (1996), for the Lorentzian.
     """
 
     width: float = 2.385

@@ -1,4 +1,4 @@
-"""Smoothers of the run of a filter, on groups: over all of it, and with a fixed lag."""
+"""Smoothers for a filter's run, on groups: over the whole run, or with a fixed lag."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ...system.dynamics import Arrays
 
 
 class Smoothed(NamedTuple):
-    """States and covariances that use all measurements of a run, those of later times too.
+    """States and covariances that use all measurements of a run, including those of later times.
 
     Attributes:
         ts: (k,) times in s.
@@ -29,7 +29,7 @@ class Smoothed(NamedTuple):
 
 
 class RauchTungStriebel:
-    """The fixed-interval smoother: one pass backwards over a run of a filter.
+    """The fixed-interval smoother: one backward pass over a filter's run.
 
     With the estimate (x, P) after the measurements at a time, the prediction (y, M) from it and the smoothed estimate
     (s, N) of the next time,
@@ -38,9 +38,7 @@ class RauchTungStriebel:
         $x_s = x Exp(d), P_s = J_r(d) (P + C (J_r(e)^-1 N J_r(e)^-T - M) C^T) J_r(d)^T$.
 
     The Jacobians transform covariances to the tangent space at the smoothed estimate; on $R^m$ they are identities.
-    Directions in which M is singular, such as a known constant, have no gain. Traceable.
-
-    Raises: nothing; non-finite numbers are propagated.
+    Directions in which M is singular, such as a known constant, have zero gain. Traceable.
 
     Source: Rauch, Tung, Striebel, Maximum likelihood estimates of linear dynamic systems, AIAA J. 3 (1965); on groups
     Bourmaud et al., Continuous-discrete extended Kalman filter on matrix Lie groups, JMIV 51 (2015).
@@ -49,7 +47,9 @@ class RauchTungStriebel:
     def smooth(
         self, group: Product, ts: jax.Array, post: tuple[Arrays, jax.Array], prior: tuple[Arrays, jax.Array, jax.Array]
     ) -> Smoothed:
-        """The smoothed states of the estimates `post`, (x, P), and predictions `prior`, (x, P, Phi), at times (k,)."""
+        """The smoothed states from the estimates `post`, (x, P), and predictions `prior`, (x, P, Phi), at times
+        (k,).
+        """
         xs, Ps = post
         last = {name: x[-1] for name, x in xs.items()}, Ps[-1]
         head, tail = jax.tree.map(lambda a: a[:-1], (xs, Ps)), jax.tree.map(lambda a: a[1:], prior)
@@ -65,14 +65,15 @@ class RauchTungStriebel:
 
 @dataclasses.dataclass(frozen=True)
 class FixedLagSmoother:
-    """The mean of a state by the measurements until `lag` times later, $E[x_k | z_0, ..., z_(k + lag)]$.
+    """The fixed-lag smoother: the mean of a state given the measurements up to `lag` times later, $E[x_k | z_0, ...,
+    z_(k + lag)]$.
 
-    An online estimator can compute it. It takes the steps of `RauchTungStriebel` from each time back over `lag`
+    An online estimator can compute it. It performs the steps of `RauchTungStriebel` from each time back over `lag`
     intervals. Traceable.
 
     Attributes:
-        lag: how many later times of the run count, 1 or more; dimensionless.
-    Raises: InputError for another lag.
+        lag: the number of later times of the run, 1 or more.
+    Raises: InputError for an invalid lag.
 
     Source: Anderson, Moore, Optimal Filtering (1979), sec. 7.3, which gives the same numbers.
     """
@@ -85,7 +86,9 @@ class FixedLagSmoother:
     def smooth(
         self, group: Product, ts: jax.Array, post: tuple[Arrays, jax.Array], prior: tuple[Arrays, jax.Array, jax.Array]
     ) -> Smoothed:
-        """The smoothed states of the estimates `post`, (x, P), and predictions `prior`, (x, P, Phi), at times (k,)."""
+        """The smoothed states from the estimates `post`, (x, P), and predictions `prior`, (x, P, Phi), at times
+        (k,).
+        """
         count = ts.shape[0]
 
         def at(k: jax.Array) -> Any:
@@ -104,7 +107,7 @@ class FixedLagSmoother:
 
 
 def backward(group: Product, later: tuple[Arrays, jax.Array], row: Any) -> tuple[Arrays, jax.Array]:
-    """The smoothed estimate at a time from that at the next, `later`, by the row (x, P, y, M, Phi)."""
+    """The smoothed estimate at a time from that at the next time, `later`, with the row (x, P, y, M, Phi)."""
     s, N = later
     x, P, y, M, transition = row
     C = smoother_gain(P, transition, M)
@@ -117,7 +120,7 @@ def backward(group: Product, later: tuple[Arrays, jax.Array], row: Any) -> tuple
 
 
 def smoother_gain(P: jax.Array, transition: jax.Array, M: jax.Array) -> jax.Array:
-    """$P Phi^T M^+$ for a positive semidefinite M, whose rows have units of their own."""
+    """The gain $P Phi^T M^+$ for a positive semidefinite M whose entries have different units."""
     size = jnp.sqrt(jnp.diag(M))
     scale = jnp.where(size > 0.0, size, 1.0)
     inverse = jnp.linalg.pinv(M / jnp.outer(scale, scale), hermitian=True)

@@ -1,1 +1,1 @@
-"""Functions of arrays as nodes, and parameters that are trees of arrays."""
+"""Functions of arrays as nodes, and parameters that are pytrees of arrays."""

@@ -1,4 +1,4 @@
-"""Any function of arrays as a node."""
+"""Arbitrary functions of arrays as nodes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ..kinds import rules
 from ..node import Expr, Shape, to_expr
 from .parameter_tree import ParameterTree, is_real_array
 
-#: Errors of functions that need the numbers of their arguments. These are TypeErrors too.
+#: Errors of functions that need concrete values of their arguments. These are TypeErrors, too.
 _NEEDS_NUMBERS = (
     jax.errors.ConcretizationTypeError,
     jax.errors.TracerArrayConversionError,
@@ -39,12 +39,12 @@ class Function:
 
     Args:
         f: the function, or another callable, such as an `equinox.Module`.
-        shape: the shape of its value; by default it is found by tracing f.
+        shape: the shape of its value; by default it is determined by tracing f.
         name: its name in messages, formulas and `explain`; the name of f by default.
     Raises:
-        ModelError: f cannot be called, has weights that JAX is tracing, needs concrete values of its arguments, or
-            does not return an array of real numbers.
-        ShapeError: f fails for operands of these shapes, or its value has another shape than `shape`.
+        ModelError: f is not callable, has weights that JAX is tracing, needs concrete values of its arguments, or does
+            not return an array of real numbers.
+        ShapeError: f fails for operands of these shapes, or its value has a shape other than `shape`.
 
     Example:
         drag = tx.Function(lambda v: -0.3 * jnp.linalg.norm(v) * v, shape=(3,), name="drag")
@@ -55,10 +55,12 @@ class Function:
         if not callable(f) or isinstance(f, Expr):
             raise ModelError(
                 f"Function expects a function of arrays, got {short(f)}.\n"
-                "  fix: tx.Function(f, shape)(x) calls f with the arrays of the operands"
+                "  fix: use tx.Function(f, shape)(x), which calls f with the arrays of the operands"
             )
         if isinstance(f, type):
-            raise ModelError(f"Function expects a function of arrays, got the class {f.__name__}; give an object of it")
+            raise ModelError(
+                f"Function expects a function of arrays, got the class {f.__name__}; pass an instance of it"
+            )
         if is_traced(f):
             raise ModelError(
                 f"Function expects a function with known numbers, got {type(f).__name__} with an array that JAX "
@@ -83,18 +85,18 @@ class Function:
 
 
 class Call(Expr, init=False):
-    """The value of a `tx.Function` at its operands; the function makes it.
+    """The value of a `tx.Function` for its operands. Made by calling the function.
 
-    Shapes: those that the function takes -> that which it gives.
+    Shapes: those that the function accepts -> the shape that it returns.
 
     Attributes:
-        operands: the expressions that it is called with.
+        operands: the expressions that are its arguments.
         f: the function of arrays.
-        result_shape: the shape that its value must have; None: any.
-        name: that of the function.
-        trees: for each argument of f its `ParameterTree`, whose arrays are operands; None for one operand.
+        result_shape: the required shape of its value; None: any.
+        name: the name of the function.
+        trees: for each argument of f its `ParameterTree`, whose arrays are operands; None for an ordinary operand.
     Raises:
-        ModelError, ShapeError: as `tx.Function` says.
+        ModelError, ShapeError: as for `tx.Function`.
     """
 
     operands: Operands
@@ -120,13 +122,13 @@ class Call(Expr, init=False):
             raise ModelError(
                 f"Function {self.name!r} expects a function that returns one array of real numbers, got "
                 f"{got.dtype if isinstance(got, jax.ShapeDtypeStruct) else short(got)}.\n"
-                "  fix: return one array, as jnp.concatenate makes it of several; tx.Function of each part otherwise"
+                "  fix: return one array, for example with jnp.concatenate, or use a tx.Function for each part"
             )
         if self.result_shape is not None and got.shape != self.result_shape:
             raise ShapeError(
                 f"Function {self.name!r} expects a value of shape {self.result_shape}, got {got.shape} for operands of "
                 f"shapes {_listed(shapes)}",
-                hint="pass the shape of the result, or another function",
+                hint="pass the shape of the result, or correct the function",
             )
         return tuple(got.shape)
 

@@ -19,18 +19,17 @@ class ParameterTree:
 
     Each array of real numbers in the tree is a `tx.Parameter` named after the tree and its path, such as
     "net.layers[0].weight", of the shape of the array. A `tx.Function` that is applied to a ParameterTree receives the
-    pytree. Systems, problems, sweeps and files treat these as ordinary parameters: `values` returns
-    the `params` of a call, `parameters` the `free` of a Problem. Other leaves of the tree, such as activation functions
-    and integers, are constants. Values have the units that the function expects. Source: JAX's documentation,
-    "Pytrees".
+    pytree. Systems, problems, sweeps and files treat these as ordinary parameters: `values` returns the `params` of a
+    call, `parameters` the `free` of a Problem. Other leaves of the tree, such as activation functions and integers, are
+    constants. Values have the units that the function expects. Source: JAX's documentation, "Pytrees".
 
     Args:
         name: the prefix of the names of the parameters.
-        value: the tree, whose numbers are the default values. It may be an `equinox.Module`.
+        value: the tree, whose arrays are the default values. It may be an `equinox.Module`.
     Attributes:
         parameters: the parameters, in the order of `jax.tree.leaves`.
     Raises:
-        ModelError: there is no array of real numbers in the tree, or JAX is tracing one.
+        ModelError: the tree contains no array of real numbers, or JAX is tracing one.
 
     Example:
         weights = tx.ParameterTree("net", {"A": np.zeros((2, 4)), "b": np.zeros(2)})
@@ -46,7 +45,8 @@ class ParameterTree:
         if not arrays:
             raise ModelError(
                 f"ParameterTree {name!r} expects a pytree with arrays of real numbers, got {type(value).__name__}.\n"
-                f"  fix: arrays of JAX or NumPy in it; tx.Parameter({name!r}, value=...) is one number"
+                "  fix: pass a tree with arrays of JAX or NumPy; for a single array use "
+                f"tx.Parameter({name!r}, value=...)"
             )
         if is_traced(arrays):
             raise ModelError(
@@ -63,16 +63,16 @@ class ParameterTree:
         return f"ParameterTree({self.name!r}, {len(self.parameters)} arrays)"
 
     def key(self) -> tuple[Any, ...]:
-        """A value that identifies functions of this tree."""
+        """A hashable value that identifies this tree in functions."""
         return str(self._structure), self._paths
 
     def values(self, tree: Any) -> dict[str, Any]:
-        """The values of the parameters by name, `params` of a call, from a tree with the same arrays.
+        """The values of the parameters by name, for `params` of a call, from a tree with the same arrays.
 
         It may be traced, so derivatives with respect to a tree are available. Leaves without real numbers are ignored.
 
         Raises:
-            ShapeError: an array is missing, is not in this tree, or has another shape.
+            ShapeError: an array is missing, does not belong to this tree, or has another shape.
         """
         arrays, wanted = _real_arrays(tree), dict(zip(self._paths, self.parameters, strict=True))
         if strange := [
@@ -90,12 +90,12 @@ class ParameterTree:
         return {parameter.name: arrays[path] for path, parameter in wanted.items()}
 
     def tree(self, values: Mapping[str, Any] | None = None) -> Any:
-        """The tree with values of the parameters by name, for example those of the result of a problem.
+        """The tree with values of the parameters by name, for example from the result of a problem.
 
         Other names are ignored. Without an argument it is the tree of the default values.
 
         Raises:
-            InputError: a parameter has no value among them.
+            InputError: a parameter has no value.
         """
         defaults = {parameter.name: parameter.value for parameter in self.parameters}
         chosen = defaults if values is None else values

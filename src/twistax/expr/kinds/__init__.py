@@ -1,1 +1,1 @@
-"""Kinds, frames, duals and units of values: what leaves declare, and what the nodes of a system make of it."""
+"""Kinds, frames and units of values: their declaration by leaves, and their inference through the nodes of a system."""

@@ -1,4 +1,4 @@
-"""Rules of nodes that reduce, join or cut arrays, and of tables."""
+"""Kind rules of nodes that reduce, join or cut arrays, and of tables."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .unit import METRE, ONE, Unit
 
 @dataclasses.dataclass(frozen=True)
 class Reduced(Rule):
-    """A sum or a norm of all entries: in their unit."""
+    """A sum or a norm of all entries has their unit."""
 
     by_operands = True
 
@@ -22,7 +22,9 @@ class Reduced(Rule):
 
 @dataclasses.dataclass(frozen=True)
 class JoinedPieces(Rule):
-    """Pieces side by side: one unit if all have it. Vectors (3,) that make (6,) or rows of them have one frame."""
+    """Joined pieces: one unit if all have it. Vectors (3,) that are joined to (6,), or to rows of such, have one
+    frame.
+    """
 
     rows: bool = False
     by_operands = True

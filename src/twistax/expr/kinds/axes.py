@@ -1,4 +1,4 @@
-"""Classes of axes that have one frame, or one space, and what fixed it."""
+"""Classes of axes that have one frame or one space, and the facts that determined it."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ _Fact: TypeAlias = "str | Space"
 
 
 class AxisFact(NamedTuple):
-    """The frame or the space of an axis, of which value, and the node or the place, in words, that fixed it.
+    """The frame or the space of an axis of a value, with the node or the text of the place that determined it.
 
-    `note` is what the value declares, in words.
+    `note` is the declaration of the value, as text.
     """
 
     fact: _Fact
@@ -23,11 +23,11 @@ class AxisFact(NamedTuple):
 
     @property
     def dual(self) -> AxisFact:
-        """The same of an axis that is dual to this one; a frame stays."""
+        """The same fact for an axis that is dual to this one; a frame is unchanged."""
         return self if isinstance(self.fact, str) else self._replace(fact=self.fact.dual)
 
     def clause(self, value: str) -> str:
-        """What the value, of this text, is in: "F is in 'world'"."""
+        """A clause for messages about the value with this text: "F is in 'world'"."""
         takes, matrix = self.value.ndim == 2 and self.axis == -1, self.value.ndim == 2
         if isinstance(self.fact, str):
             verb = "takes what is in" if takes else "gives what is in" if matrix else "is in"
@@ -37,7 +37,7 @@ class AxisFact(NamedTuple):
 
 
 class AxisClasses:
-    """Union-find over axes, by number. An axis may be dual to the first one of its class."""
+    """Union-find over numbered axes. An axis may be dual to the first one of its class."""
 
     def __init__(self) -> None:
         #: Of axes that are not first in their class: another one, and whether it is dual to that.
@@ -61,13 +61,13 @@ class AxisClasses:
         return slot, flipped
 
     def known(self, slot: int) -> AxisFact | None:
-        """What is known of an axis."""
+        """The known fact about an axis."""
         first, flipped = self._find(slot)
         fact = self._facts.get(first)
         return fact.dual if fact and flipped else fact
 
     def fix(self, slot: int, fixed: AxisFact) -> tuple[AxisFact, AxisFact] | None:
-        """Both facts where they differ."""
+        """Set a fact; returns both facts if they contradict each other."""
         first, flipped = self._find(slot)
         if first not in self._facts:
             self._facts[first] = fixed.dual if flipped else fixed
@@ -76,7 +76,7 @@ class AxisClasses:
         return None if there.fact == fixed.fact else (there, fixed)
 
     def link(self, one: int, other: int, dual: bool) -> tuple[AxisFact, AxisFact] | None:
-        """Both facts where they differ, each as it was fixed."""
+        """Join two classes; returns both facts if they contradict each other, each with its origin."""
         (kept, a), (gone, b) = self._find(one), self._find(other)
         if kept == gone:
             return None

@@ -1,7 +1,9 @@
-"""Which body a twist is of and which it is relative to, and on which body a wrench acts.
+"""Bodies of twists and wrenches: the moving body and the reference body of a twist, and the body on which a wrench
+acts.
 
-A twist of A relative to B is the difference A - B, so that one of A relative to B and one of B relative to C add up to
-one of A relative to C. Wrenches on one body add up; what is subtracted is a reaction, on any body.
+The twist of A relative to B is treated as the difference A - B, so that twists of A relative to B and of B relative to
+C add up to the twist of A relative to C. Wrenches on one body can be added; a subtracted wrench is a reaction, which
+may act on any body.
 """
 
 from __future__ import annotations
@@ -13,9 +15,7 @@ from typing import Any, TypeAlias
 
 @dataclasses.dataclass(frozen=True)
 class BodyMotion:
-    """The twist of a sum of bodies. Where the coefficients do not add up to zero, the rest is relative to a body that
-    is not known.
-    """
+    """A sum of body motions. If the coefficients do not add up to zero, the rest is relative to an unknown body."""
 
     bodies: Mapping[str, int]
 
@@ -33,11 +33,11 @@ class BodyMotion:
 
     @property
     def of_one_body(self) -> bool:
-        """Whether it is a multiple of the twist of one body relative to another one, or may be."""
+        """Whether it is, or may be, a multiple of the twist of one body relative to another one."""
         return not self.complete or len(self.bodies) in (0, 2)
 
     def fits(self, other: BodyMotion) -> bool:
-        """Whether both can be one twist."""
+        """Whether both may be the same twist."""
         difference = self.plus(other.times(-1))
         return not difference.bodies or (len(difference.bodies) == 1 and not (self.complete and other.complete))
 

@@ -1,4 +1,4 @@
-"""The bodies of all values of a system, from the leaves up, and an error where two do not fit."""
+"""Inference of the bodies of all values of a system, starting from the leaves, with an error for contradictions."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ class BodyInference:
 
     Args:
         leaves: all leaves, for the names of bodies.
-        place: says where a node is.
-        short: the text of a value.
+        place: a function that describes the location of a node.
+        short: a function that returns the text of a value.
     """
 
     def __init__(
@@ -57,11 +57,13 @@ class BodyInference:
                     self._one_body(child, of_child)
 
     def read_root(self, root: Expr) -> None:
-        """What a system computes is the twist of one body."""
+        """Check that an expression computed by the system is the twist of one body."""
         self._one_body(root, self._known.get(id(root)))
 
     def read_rate(self, state: State, rate: Expr) -> None:
-        """A rate is of the bodies of its state; that of a pose is of its frame on the right, relative to the left."""
+        """The rate of a state belongs to the bodies of the state; the rate of a pose is the twist of its source frame
+        relative to its target frame.
+        """
         of_rate, place = self._known.get(id(rate)), f"the rate of {state.name!r}"
         if not isinstance(of_rate, BodyMotion):
             return
@@ -104,7 +106,7 @@ def _declared_bodies(node: Expr) -> Bodies:
 def check_bodies(
     nodes: Iterable[Expr], roots: Mapping[str, Expr], rates: Mapping[State, Expr], inference: BodyInference
 ) -> None:
-    """Raise KindError where bodies do not fit."""
+    """Raise KindError if the bodies of values contradict each other."""
     inference.read(nodes)
     for root in roots.values():
         inference.read_root(root)

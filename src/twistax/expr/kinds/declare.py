@@ -1,4 +1,4 @@
-"""What an expression is, said where it is built."""
+"""Declaration of the kind and unit of an expression."""
 
 from __future__ import annotations
 
@@ -10,30 +10,32 @@ from ..leaves import Constant, Leaf
 from ..node import Expr, to_expr
 from .kinds import Kind, declared
 
-#: Where a node keeps the kind and the unit of `known_as`, and what says that a system shall be checked.
+#: The attributes for kind and unit of `known_as`, and the mark that requires a check of the system.
 _KNOWN, _CHECKED = FACTS
 
 
 def declare(value: Any, kind: Kind | None = None, unit: Any = None) -> Expr:
     """The same expression with a declared kind and unit: `tx.kinds.declare(R.T @ F, tx.FreeVector("body"), "N")`.
 
-    A system that contains it is checked for this kind. Nothing else changes: the key of the expression, and so each
-    program, does not depend on the declaration. The results of `canonicalize` and `replace` have no declaration.
-    States, controls and parameters declare it by `kind=` and `unit=`.
+    A system that contains it is checked for this kind. Nothing else changes: the key of the expression, and therefore
+    compiled programs, do not depend on the declaration. The results of `canonicalize` and `replace` have no
+    declaration. States, controls and parameters declare their kind by `kind=` and `unit=`.
 
     Args:
         value: an expression, or numbers.
-        kind: what it is and in which frames, such as `tx.Point("world")`; see `tx.kinds`.
-        unit: of all entries, such as "m/s"; of a six-vector that of its angular part.
+        kind: its kind, with the frames, such as `tx.Point("world")`; see `tx.kinds`.
+        unit: unit of all entries, such as "m/s"; for a six-vector, the unit of its angular part.
     Raises: ModelError for a kind of another shape, or an unknown unit.
 
-    Units: those that are declared.
+    Units: the declared ones.
 
     Example: `outputs={"tip": tx.kinds.declare(arm.pose("tip")[:3, 3], tx.Point("base"))}`
     """
     expr = to_expr(value)
     if kind is None and unit is None:
-        raise ModelError("declare expects a kind or a unit, got neither.\n  fix: tx.kinds.declare(x, unit='m')")
+        raise ModelError(
+            "declare expects a kind or a unit, got neither.\n  fix: for example tx.kinds.declare(x, unit='m')"
+        )
     if isinstance(expr, Constant):
         return Constant(expr.value, **declared("a constant", expr.shape, kind, unit))
     same = known_as(expr, kind, unit)
@@ -45,10 +47,10 @@ Node = TypeVar("Node", bound=Expr)
 
 
 def known_as(expr: Node, kind: Kind | None = None, unit: Any = None) -> Node:
-    """The same expression, which is known to be of a kind and a unit where a system declares others.
+    """The same expression with a known kind and unit, used in systems with declared kinds.
 
-    Layers of this package say so of their states, outputs and wrenches. By itself it does not ask for a check, so that
-    models that declare nothing are as free as they were. Raises as `declare`.
+    Used by this package for its states, outputs and wrenches. It does not by itself require a check, so that models
+    without declarations are not checked. Raises the errors of `declare`.
     """
     facts = declared(f"{type(expr).__name__}", expr.shape, kind, unit)
     same: Node = object.__new__(type(expr))
@@ -58,12 +60,12 @@ def known_as(expr: Node, kind: Kind | None = None, unit: Any = None) -> Node:
 
 
 def declares(node: Expr) -> bool:
-    """Whether a node asks for a check of its system."""
+    """Whether a node requires a check of its system."""
     return _CHECKED in node.__dict__ or (isinstance(node, Leaf) and node.declares)
 
 
 def known_of(node: Expr) -> tuple[Kind | None, Any] | None:
-    """The kind and the unit of `known_as` or `declare`; None without them."""
+    """The kind and the unit from `known_as` or `declare`; None without them."""
     known: tuple[Kind | None, Any] | None = node.__dict__.get(_KNOWN)
     return known
 

@@ -1,4 +1,4 @@
-"""What a leaf declares of its values, checked: shape, group, bounds, guess and boundary values."""
+"""Checks of the declared values of leaves: shape, group, bounds, guess and boundary values."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .kinds import Shape
 
 
 def shape_of(name: str, shape: Shape | int) -> Shape:
-    """A shape as a tuple. Raises ModelError unless it is made of positive whole numbers."""
+    """A shape as a tuple. Raises ModelError unless it consists of positive whole numbers."""
     sizes = tuple(shape) if isinstance(shape, (tuple, list)) else (shape,)
     if not all(isinstance(n, (int, np.integer)) and not isinstance(n, bool) and n >= 1 for n in sizes):
         raise ModelError(f"{name!r}: shape expects a tuple of positive whole numbers, got {shape!r}")
@@ -21,12 +21,12 @@ def shape_of(name: str, shape: Shape | int) -> Shape:
 
 
 def group_of(name: str, shape: Shape | int | None, group: Group | None, order: Order | None) -> Group:
-    """The group of a state with a shape, or with a group and an order."""
+    """The group of a state, from its shape, or from its group and order."""
     if group is None:
         if order is not None:
             raise ModelError(
-                f"State {name!r}: order= is for poses, got a state without a group.\n"
-                "  fix: group=tx.SE3, or leave order out; the Lie nodes carry their own"
+                f"State {name!r}: order= applies to poses, got a state without a group.\n"
+                "  fix: pass group=tx.SE3, or leave order out; Lie nodes have a separate order="
             )
         return Euclidean(shape_of(name, () if shape is None else shape))
     if not isinstance(group, Group):
@@ -36,7 +36,7 @@ def group_of(name: str, shape: Shape | int | None, group: Group | None, order: O
         hash(group)
     except TypeError:
         raise ModelError(
-            f"State {name!r}: group must be a value that is compared and hashed, got {group!r}.\n"
+            f"State {name!r}: group must be comparable and hashable by value, got {group!r}.\n"
             f"  fix: make {type(group).__name__} a frozen dataclass: @dataclasses.dataclass(frozen=True)"
         ) from None
     if shape is not None and shape_of(name, shape) != group.shape:
@@ -47,7 +47,9 @@ def group_of(name: str, shape: Shape | int | None, group: Group | None, order: O
     if order is None:
         return group
     if group.twist_order is None:
-        raise ModelError(f"State {name!r}: order= is for poses, got the group {group.name}.\n  fix: leave order out")
+        raise ModelError(
+            f"State {name!r}: order= applies to poses, got the group {group.name}.\n  fix: leave order out"
+        )
     if not isinstance(order, Order):
         raise ModelError(f"State {name!r} expects order=tx.LINEAR_FIRST or tx.ANGULAR_FIRST, got {order!r}")
     return group.with_order(order)
@@ -66,7 +68,7 @@ def _value(name: str, what: str, value: Any, shape: Shape, free: float = np.nan)
 
 
 def chosen_values(name: str, group: Group, low: Any, high: Any, guess: Any, scale: Any) -> dict[str, np.ndarray | None]:
-    """The bounds, guess and scale of a value of a group."""
+    """The bounds, guess and scale of a value on a group."""
     shape = group.shape
     low, high = _value(name, "min", low, shape, -np.inf), _value(name, "max", high, shape, np.inf)
     if low is not None and high is not None and (low > high).any():
@@ -86,7 +88,7 @@ def chosen_values(name: str, group: Group, low: Any, high: Any, guess: Any, scal
     return {"min": low, "max": high, "guess": guess, "scale": scale}
 
 
-#: How far a given rotation may be from orthonormal before it is refused.
+#: The largest deviation from orthonormality of an accepted rotation.
 _ROTATION_TOLERANCE = 1e-6
 
 
@@ -100,20 +102,20 @@ def _half_free(name: str, what: str, array: np.ndarray, group: Group) -> np.ndar
         open_parts = " or ".join(f"the whole {part.name}" for part in parts)
         can_leave = f"{open_parts} free, no other entries" if parts else "none free"
         raise ModelError(
-            f"{name!r}: {what} of {group.name} can leave {can_leave}, got\n{array}\n"
+            f"{name!r}: {what} of {group.name} can leave free {can_leave}, got\n{array}\n"
             f"  fix: use constraints on the entries of {name}, e.g. {what}=[{name}[0, 1] == 0.0]"
         )
     return array
 
 
 def boundary_value(name: str, what: str, value: Any, group: Group) -> np.ndarray | None:
-    """A value at the start or the end: an element of a group, or numbers of which some may be None."""
+    """A value at the start or the end: a group element, or numbers, of which some may be None."""
     if value is None or group.flat:
         numbers = _value(name, what, value, group.shape)
         if np.ndim(value) and np.shape(value) != group.shape:  # a list that would be repeated is a slip
             raise ShapeError(f"{name!r}: {what} expects shape {group.shape} or a number, got {np.shape(value)}")
         if numbers is not None and np.isinf(numbers).any():
-            raise ModelError(f"{name!r}: {what} expects finite numbers, None where it is free, got {numbers}")
+            raise ModelError(f"{name!r}: {what} expects finite numbers, or None for free entries, got {numbers}")
         return numbers
     if np.shape(value) != group.shape:
         raise ShapeError(f"{name!r}: {what} expects shape {group.shape}, got {np.shape(value)}")

@@ -1,11 +1,11 @@
-"""Frames, spaces and units of all values of a system, and an error where two of them do not fit.
+"""Inference of frames, spaces and units of all values of a system, with an error for contradictions.
 
-Frames and spaces belong to axes. What must agree forms a class, a class with two frames or spaces is a mistake, and the
-places that fixed them are named. Units go from the leaves up. Nothing of it is part of a program, and where no leaf
-declares anything nothing is done.
+Frames and spaces belong to axes. Axes that must agree form a class; two different frames or spaces in a class are an
+error, whose message names the places that determined them. Units are inferred from the leaves to the roots. The
+inference does not affect programs, and is skipped if no leaf declares a kind or unit.
 
-A constant without a kind may stand anywhere, and so may what is made of such constants alone: it is another value at
-each place.
+A constant without a kind has no frame or unit, and neither has an expression of such constants; each occurrence is a
+separate value.
 """
 
 from __future__ import annotations
@@ -43,9 +43,10 @@ class NodePlace(NamedTuple):
 
 
 class Inference:
-    """Walks all expressions of a system, children first, and applies the rule of each node once.
+    """Traverses all expressions of a system, children first, and applies the rule of each node once.
 
-    The axes of a value have numbers, -1 the last. The number after it stands for the value.
+    The axes of a value have consecutive numbers, starting with the last axis (-1); the next number represents the value
+    itself.
     """
 
     def __init__(self, leaves: Sequence[Leaf]) -> None:
@@ -69,7 +70,9 @@ class Inference:
                 self._of_names[leaf.key()] = self._ends[id(leaf)]
 
     def read(self, roots: Mapping[str, Expr], nodes: Sequence[Expr]) -> None:
-        """Apply the rules of all nodes below roots, by the names used in messages, and of bodies of maps and rates."""
+        """Apply the rules of all nodes below roots, with the names used in messages, and to bodies of maps and
+        rates.
+        """
         self._roots = dict(roots)
         self._read(nodes)
 
@@ -237,7 +240,7 @@ class Inference:
                 self._unframed.append((node, vector, by))
 
     def read_rate(self, state: State, rate: Expr) -> None:
-        """A rate has the frame and space of its state, and its unit per second; that of a pose is a twist."""
+        """A rate has the frame and space of its state, and its unit per second; the rate of a pose is a twist."""
         self._leaf(state)
         place = f"the rate of {state.name!r}"
         free = self._free[id(rate)]
@@ -262,7 +265,7 @@ class Inference:
         return known.fact if known and isinstance(known.fact, Space) else None
 
     def check_unframed(self) -> None:
-        """Raise KindError for a vector in a frame to whose entries a scalar is added."""
+        """Raise KindError if a scalar is added to the entries of a vector in a frame."""
         for node, vector, scalar in self._unframed:
             known = None if self._free[id(vector)] else self._frames.known(self._ends[id(vector)] - 1)
             if known:
@@ -270,7 +273,7 @@ class Inference:
                     f"a scalar is added to each entry of a vector in {known.fact!r}.\n  where: {self.place(node)}\n"
                     f"  at: {self.place(known.at)}, {known.clause(short(known.value))}{known.note}\n"
                     f"  and: {short(scalar)} is a scalar\n"
-                    "  fix: multiply it by the vector that it belongs to, such as a direction"
+                    "  fix: multiply the scalar by a vector, such as a direction"
                 )
 
     def _fix(self, classes: AxisClasses, slot: int, fixed: AxisFact) -> None:
@@ -312,22 +315,22 @@ class Inference:
         return KindError("\n".join([*lines, f"  fix: {remedy_of_units([unit for _, unit in clash.values], wanted)}"]))
 
     def knows(self, value: Expr) -> bool:
-        """Whether anything is known of a value."""
+        """Whether the kind or unit of a value is known."""
         end = self._ends[id(value)]
         axes = range(-2 if value.shape == (4,) else -value.ndim, 0)
         facts = (classes.known(end + axis) for axis in axes for classes in (self._frames, self._spaces))
         return self._units.get(end) is not None or any(facts)
 
     def unit(self, value: Expr) -> Unit | None:
-        """The unit of a value, of a six-vector that of its angular part; None where it is open."""
+        """The unit of a value, for a six-vector that of its angular part; None if undetermined."""
         return self._units.get(self._ends[id(value)])
 
     def spaces(self, value: Expr) -> list[Space | None]:
-        """The space of each axis of a value, None where it is open or not of length six."""
+        """The space of each axis of a value; None if undetermined or not of length six."""
         return [self._space(self._ends[id(value)] + axis) for axis in range(-value.ndim, 0)]
 
     def description(self, value: Expr) -> str:
-        """What is known of a value: its kind, frames and unit, or open."""
+        """A text about a value: its kind, frames and unit, or "open"."""
         end, spaces = self._ends[id(value)], self.spaces(value)
         axes = (-2, -1) if value.ndim == 2 or value.shape == (4,) else (-1,) if value.ndim == 1 else ()
         frames = [self._frames.known(end + axis) for axis in axes]
@@ -348,7 +351,9 @@ class Inference:
 def infer_kinds(
     roots: Mapping[str, Expr], rates: Mapping[State, Expr], leaves: Sequence[Leaf], nodes: Sequence[Expr] | None = None
 ) -> Inference:
-    """What is known of all values of a system, whether leaves declare anything or not. Raises KindError."""
+    """The inferred kinds of all values of a system, also if no leaf declares one. Raises KindError for
+    contradictions.
+    """
     inference = Inference([*leaves, *rates])
     nodes = postorder(*roots.values()) if nodes is None else nodes
     inference.read(roots, nodes)

@@ -1,4 +1,4 @@
-"""The kinds that a leaf may declare: in which frames it is, and whether it is a motion or what is dual to one."""
+"""The kinds that a leaf may declare: its frames, and whether it is a motion or dual to one."""
 
 from __future__ import annotations
 
@@ -14,24 +14,25 @@ Shape = tuple[int, ...]
 
 
 class Space(enum.Enum):
-    """The space of an axis of length six: twists, or what is dual to them."""
+    """The space of an axis of length six: that of twists, or its dual."""
 
     MOTION = "a twist"
     FORCE = "a wrench or momentum"
 
     @property
     def dual(self) -> Space:
-        """The space whose pairing with this one is a power or an energy."""
+        """The dual space, whose pairing with this one is a power or an energy."""
         return Space.FORCE if self is Space.MOTION else Space.MOTION
 
 
 @dataclasses.dataclass(frozen=True)
 class Kind:
-    """Base of all kinds. The unit of a six-vector is that of its angular part; the linear part differs by metres.
+    """Base class of kinds. The unit of a six-vector is that of its angular part; that of the linear part differs by
+    metres.
 
     Attributes:
-        unit: what the kind says of units; None where it says nothing.
-    Raises: ModelError if a leaf has another shape, or a frame is not a name. A frame without a name is open.
+        unit: the unit that the kind implies; None if it implies none.
+    Raises: ModelError if a leaf has another shape, or a frame is not a name. A frame without a name is undetermined.
     """
 
     shapes: ClassVar[tuple[Shape, ...]] = ()
@@ -44,19 +45,19 @@ class Kind:
         return f"{type(self).__name__}({', '.join(names)})"
 
     def frames(self) -> dict[int, str]:
-        """The frame of each axis, counted from the last, as far as they are named."""
+        """The frame of each axis, counted from the last; only named frames."""
         return {axis: name for axis, name in self.axes().items() if name}
 
     def axes(self) -> dict[int, str]:
-        """The frame of each axis, counted from the last; "" where it is open."""
+        """The frame of each axis, counted from the last; "" for an undetermined one."""
         raise NotImplementedError
 
     def bodies(self) -> Bodies:
-        """The body and the one that it moves relative to, or the body that a wrench acts on; None if not declared."""
+        """The body and the body that it moves relative to, or the body on which a wrench acts; None if not declared."""
         return None
 
     def check(self, name: str, shape: Shape) -> None:
-        """Raise ModelError if a leaf has another shape, also that of a stack, or if a frame is not a name."""
+        """Raise ModelError if a leaf (or the elements of a stack) has another shape, or if a frame is not a name."""
         if shape not in self.shapes and shape[1:] not in self.shapes:
             wanted = " or ".join(map(str, self.shapes))
             raise ModelError(f"{name!r}: {type(self).__name__} is for shape {wanted}, got {shape}")
@@ -79,11 +80,12 @@ class _OfSix(Kind):
 
 @dataclasses.dataclass(frozen=True)
 class Twist(_OfSix):
-    """A twist (6,): m/s and rad/s. `unit="1/s2"` makes it the rate of one, `unit="rad"` a displacement.
+    """A twist (6,): m/s and rad/s. With `unit="1/s2"` it is the rate of a twist, with `unit="rad"` a displacement.
 
     Attributes:
         frame: the frame of its coordinates.
-        of, relative_to: which body moves, and against which one. Sums of twists and rates of poses are held to it.
+        of, relative_to: the moving body, and the body that it moves relative to. Sums of twists and rates of poses are
+            checked for consistency.
     Raises: ModelError if a leaf has another shape, or a frame is not a name.
     Example: `tx.State("V", (6,), kind=tx.Twist("body", of="craft", relative_to="world"))`.
     """
@@ -104,7 +106,7 @@ class Wrench(_OfSix):
 
     Attributes:
         frame: the frame of its coordinates.
-        on: the body on which it acts; wrenches on two bodies are not added.
+        on: the body on which it acts; wrenches on two bodies cannot be added.
     Raises: ModelError if a leaf has another shape, or the frame is not a name.
     Example: `tx.Control("F", (6,), kind=tx.Wrench("body"))`.
     """
@@ -145,7 +147,7 @@ class Inertia(_OfSix):
 
     shapes = ((6, 6), (3, 3))
     unit = KILOGRAM * METRE**2
-    space = Space.FORCE  # of both axes: what it gives, and the dual of what it takes
+    space = Space.FORCE  # of both axes: the frame of the result, and the dual of the argument's
 
     def axes(self) -> dict[int, str]:
         return {-2: self.frame, -1: self.frame}

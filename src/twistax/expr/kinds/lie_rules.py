@@ -1,4 +1,4 @@
-"""Rules of the Lie nodes: how rotations and poses change frames, and which operators are for twists or wrenches."""
+"""Kind rules of Lie nodes: how rotations and poses change frames, and which operators apply to twists or wrenches."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class _FixedUnit(Rule):
 
 @dataclasses.dataclass(frozen=True)
 class Frames(_FixedUnit):
-    """Pairs of axes with one frame, by the number of the operand, the last number being the result."""
+    """Pairs of axes with one frame, by the index of the operand; the last index is the result."""
 
     pairs: tuple[tuple[int, int, int, int], ...] = ()
 
@@ -39,7 +39,7 @@ class _Act(Frames):
     def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
         element, point = node.children()
         if element.shape == (4, 4) and units[1] not in (None, METRE):
-            raise Clash("a pose moves points, in m; other vectors are turned by its rotation", (point, units[1]))
+            raise Clash("a pose transforms points, in m; transform other vectors by its rotation", (point, units[1]))
         return METRE if element.shape == (4, 4) else units[1]
 
 
@@ -56,7 +56,7 @@ class _Bracket(OneFrame):
 
 @dataclasses.dataclass(frozen=True)
 class ChangeOfFrame(_FixedUnit):
-    """Ad_T or Ad*_T, as a matrix: from the frame on the right of T to that on its left."""
+    """Ad_T or Ad*_T, as a matrix: from the source frame of T to its target frame."""
 
     keeps_bodies = True  # of what it is multiplied by
     gives: Unit | None = ONE
@@ -74,7 +74,7 @@ class ChangeOfFrame(_FixedUnit):
 
 @dataclasses.dataclass(frozen=True)
 class Carried(Rule):
-    """Ad_T xi or Ad*_T F without the matrix."""
+    """Ad_T xi or Ad*_T F, computed without the matrix."""
 
     space: Space = Space.MOTION
     by_operands = keeps_bodies = True
@@ -145,7 +145,9 @@ class _JoinedHalves(Rule):
 
 @dataclasses.dataclass(frozen=True)
 class OfTwist(_FixedUnit):
-    """Exp and Log, hat and vee: the operand or the result of shape (6,) is a twist; a frame of (3,) is kept or open."""
+    """Exp and Log, hat and vee: the operand or the result of shape (6,) is a twist; the frame of (3,) is kept or
+    undetermined.
+    """
 
     takes: Unit | None = None
 
@@ -155,7 +157,7 @@ class OfTwist(_FixedUnit):
     def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
         if self.takes is not None and units[0] not in (None, self.takes):
             raise Clash(
-                f"{type(node).__name__} takes an angle in rad, or a displacement", (node.children()[0], units[0])
+                f"{type(node).__name__} expects an angle in rad, or a displacement", (node.children()[0], units[0])
             )
         return self.gives
 

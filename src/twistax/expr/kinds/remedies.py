@@ -1,4 +1,4 @@
-"""How to mend what does not fit: which operator joins both."""
+"""Remedies in messages for kind errors: which operator connects both values."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from .unit import Unit
 
 
 def remedy_of_frames(leaves: Iterable[Any], one: str, other: str, first: Any, second: Any) -> str:
-    """The operator between two frames, made of a rotation or pose that a leaf declares, where there is one."""
+    """The operator between two frames, built from a rotation or pose that a leaf declares, if there is one."""
     for leaf in leaves:
         kind = kind_of(leaf)
         frames: dict[int, str] = {} if kind is None else kind.frames()
@@ -50,7 +50,7 @@ def _carried(leaf: Any, element: str, moved: Any) -> str:
 
 
 def remedy_of_spaces() -> str:
-    """The operators between twists and what is dual to them."""
+    """The operators between twists and their duals."""
     return (
         "an inertia M makes a momentum of a twist, M @ V, and tx.linalg.Solve(M, F) the rate of a twist of a wrench; "
         "tx.lie.SE3Adjoint carries twists and tx.lie.SE3AdjointDual wrenches to another frame; a power is F @ V"
@@ -58,7 +58,7 @@ def remedy_of_spaces() -> str:
 
 
 def remedy_of_units(units: Sequence[Unit], wanted: Unit) -> str:
-    """What has to stand between two units."""
+    """The conversion that is needed between two units."""
     between = units[-1] / (units[0] if len(units) > 1 else wanted)
     return (
         f"divide by a factor in {between}, or declare the units that are meant by unit=; "

@@ -1,11 +1,11 @@
-"""What nodes make of kinds, frames and units: one rule for each class, `Expr.kinds`.
+"""Kind rules: how nodes propagate kinds, frames and units; one rule for each node class, `Expr.kinds`.
 
-An axis has a frame, and an axis of length six a space as well: that of twists, or its dual. Rules say which axes have
-one frame and space (SAME), which have one frame and are dual to each other because they are summed over (DUAL), and
-which have no more than a frame in common (FRAME). `Expr.shared_orders` says which axes correspond. The unit of a value
-is one for all entries; that of a six-vector is the unit of its angular part.
+An axis has a frame, and an axis of length six also has a space: that of twists, or its dual. A rule states which axes
+have the same frame and space (SAME), which have the same frame and are dual because they are summed over (DUAL), and
+which have only the frame in common (FRAME). `Expr.shared_orders` states which axes correspond. A value has one unit for
+all entries; the unit of a six-vector is that of its angular part.
 
-This module knows nodes by their fields and methods alone, so that nodes can name their rules.
+This module accesses nodes only by their fields and methods, so that node classes can refer to their rules.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ SpaceOf: TypeAlias = Callable[[Any, int], Space | None]
 
 
 class Common(enum.Enum):
-    """What two axes have in common."""
+    """The properties that two axes have in common."""
 
     SAME = "frame and space"
     DUAL = "frame, with dual spaces"
@@ -40,7 +40,7 @@ Link: TypeAlias = tuple[Any, int, Any, int, Common]
 
 
 class Clash(Exception):
-    """Two operands whose units do not fit, or one whose unit does not fit the node; `values` names one or two."""
+    """Two operands whose units are incompatible, or one whose unit is not accepted; `values` contains one or two."""
 
     def __init__(self, sentence: str, *values: tuple[Any, Unit]) -> None:
         super().__init__(sentence)
@@ -53,7 +53,8 @@ class Rule:
 
     Subclass it for a custom node, as a frozen dataclass.
 
-    Raises: a system raises KindError where operands violate a rule; `unit` raises `Clash`, which becomes one.
+    Raises: a system raises KindError if operands violate a rule; the method `unit` raises `Clash`, which is converted
+    to one.
     """
 
     #: Whether the unit is open where those of all operands are.
@@ -66,11 +67,11 @@ class Rule:
     maps: ClassVar[bool] = False
 
     def links(self, node: Any) -> Iterable[Link]:
-        """The pairs of axes that correspond."""
+        """The pairs of corresponding axes."""
         return ()
 
     def spaces(self, node: Any) -> Iterable[tuple[Any, int, Space]]:
-        """The axes for which the node determines the space, of twists or of wrenches."""
+        """The axes whose space the node determines, that of twists or of wrenches."""
         return ()
 
     def unframed(self, node: Any) -> Iterable[tuple[Any, Any]]:
@@ -78,11 +79,11 @@ class Rule:
         return ()
 
     def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
-        """The unit of the result from those of the operands, None where unknown. Raises Clash."""
+        """The unit of the result from those of the operands, None if unknown. Raises Clash."""
         return None
 
     def made(self, node: Any, units: Units) -> Space | None:
-        """The space of the result, where the units of the operands determine it."""
+        """The space of the result, if the units of the operands determine it."""
         return None
 
     def bodies(self, node: Any, known: Sequence[Bodies]) -> Bodies:
@@ -114,7 +115,7 @@ class FixedUnits(Rule):
         takes: the unit of each operand, None for any.
         gives: the unit of the result, None if unknown.
         one_frame: whether operands and result are vectors in one frame.
-    Raises: a system raises KindError where an operand is known to have another unit.
+    Raises: a system raises KindError if an operand is known to have another unit.
     Example: `kinds = tx.kinds.FixedUnits((tx.kinds.Unit.of("m"),), tx.kinds.Unit.of("Pa"))` in the class of a node.
     """
 
@@ -133,7 +134,7 @@ class FixedUnits(Rule):
 
 
 def common_unit(values: Sequence[Any], units: Units, what: str) -> Unit | None:
-    """The unit that all known units are equal to. Raises Clash."""
+    """The common unit of all known units. Raises Clash if they differ."""
     known = [(value, unit) for value, unit in zip(values, units, strict=True) if unit is not None]
     for value, unit in known[1:]:
         if unit != known[0][1]:
@@ -144,7 +145,7 @@ def common_unit(values: Sequence[Any], units: Units, what: str) -> Unit | None:
 def _number(node: Any, value: Any, unit: Unit | None) -> None:
     """Raise Clash for an operand that must have no unit."""
     if unit is not None and unit != ONE:
-        raise Clash(f"{type(node).__name__} takes radians or a number without unit", (value, unit))
+        raise Clash(f"{type(node).__name__} expects radians or a number without unit", (value, unit))
 
 
 def _entries(node: Any, values: Sequence[Any], how: Common) -> Iterable[Link]:
@@ -169,7 +170,7 @@ def _groups(node: Any, *how: Common) -> Iterable[Link]:
 
 
 def six(value: Any, space: SpaceOf) -> bool:
-    """Whether a value is known to be made of six-vectors, whose entries differ in unit."""
+    """Whether a value is known to consist of six-vectors, whose entries have different units."""
     return any(size == 6 and space(value, k - value.ndim) is not None for k, size in enumerate(value.shape))
 
 
@@ -185,14 +186,14 @@ def _product(values: Sequence[Any], units: Units) -> Unit | None:
 
 @dataclasses.dataclass(frozen=True)
 class Terms(Rule):
-    """Operands and result agree in everything; the first `conditions` operands are apart from that.
+    """Operands and result have the same kind and unit; the first `conditions` operands are excluded.
 
-    What adds a scalar to each entry of a vector has no meaning in other axes.
+    A scalar that is added to each entry of a vector is not frame-invariant.
 
     Attributes:
-        conditions: how many operands come first that have nothing to do with the result.
-        compares: whether the result is true or false.
-        signs: of the terms of a sum; the last one is that of all others.
+        conditions: the number of leading operands that do not contribute to the result.
+        compares: whether the result is boolean.
+        signs: the signs of the terms of a sum; the last one is that of all others.
     """
 
     conditions: int = 0
@@ -222,7 +223,7 @@ class Terms(Rule):
 
 @dataclasses.dataclass(frozen=True)
 class UnitPower(Rule):
-    """Entry by entry, the unit to a power; None reads the power from a constant exponent."""
+    """Entrywise power: the unit to that power; None reads the power from a constant exponent."""
 
     power: Fraction | None = None
     entrywise = True
@@ -246,7 +247,9 @@ class UnitPower(Rule):
 
 @dataclasses.dataclass(frozen=True)
 class NumberRule(Rule):
-    """Takes angles in rad and numbers without unit, and gives one; `of_one_unit`: takes operands of one unit."""
+    """Operands are angles in rad or numbers without unit, and the result is one; `of_one_unit`: operands have one
+    common unit.
+    """
 
     of_one_unit: bool = False
     gives: Unit | None = ONE
@@ -275,7 +278,7 @@ class _Product(Rule):
         if node.shape == (4, 4) and any(value.is_group_element for value in values):
             for value, unit in zip(values, units, strict=True):
                 if unit not in (None, ONE):
-                    raise Clash("a pose has no unit: multiply its rotation or its position", (value, unit))
+                    raise Clash("a pose has no single unit: multiply its rotation or its position", (value, unit))
         unit = self.combined(node, units)
         return None if unit is None or sum(six(value, space) for value in values) > 1 else unit
 
@@ -293,7 +296,9 @@ class _Quotient(_Product):
 
 @dataclasses.dataclass(frozen=True)
 class MatrixRule(Rule):
-    """Products, inverses and the like: the axes of `shared_orders`, of which some groups are dual; powers of units."""
+    """Products, inverses and similar nodes: the axes of `shared_orders`, of which some groups are dual; powers of
+    units.
+    """
 
     how: tuple[Common, ...] = ()
     powers: tuple[int, ...] = (1,)
@@ -334,7 +339,7 @@ class _Pairing(MatrixRule):
 
 @dataclasses.dataclass(frozen=True)
 class Solved(MatrixRule):
-    """A^-1 b: what a wrench on a body gives is the acceleration of that body."""
+    """A^-1 b: from a wrench on a body, it computes the acceleration of that body."""
 
     def bodies(self, node: Any, known: Sequence[Bodies]) -> Bodies:
         return BodyMotion({known[-1].on: 1}) if isinstance(known[-1], Acts) else None
@@ -355,7 +360,7 @@ DIAGONAL = MatrixRule((Common.FRAME,), (1,))
 
 @dataclasses.dataclass(frozen=True)
 class OneFrame(Rule):
-    """All these axes have one frame; the units multiply. `axes`: of each operand, then of the result."""
+    """All axes have one frame, and the units multiply. `axes`: those of each operand, then of the result."""
 
     axes: tuple[tuple[int, ...], ...]
     by_operands = True

@@ -19,7 +19,7 @@ class Unit:
 
     Attributes:
         exponents: the powers, whole numbers or fractions.
-    Raises: ModelError by `Unit.of` for an unknown unit.
+    Raises: ModelError in `Unit.of` for an unknown unit.
     Example: `tx.kinds.Unit.of("N m")`.
     """
 
@@ -73,13 +73,13 @@ _FACTOR = re.compile(r"(1|[A-Za-z]+)\^?\*{0,2}(-?\d+)?$")
 
 
 def unit_of_quantity(quantity: Quantity) -> Unit:
-    """The unit of a quantity of `tx.units`; its radians count as 1."""
+    """The unit of a quantity of `tx.units`; a radian counts as 1."""
     kilograms, metres, seconds, _, kelvins = quantity.exponents
     return Unit((kilograms, metres, seconds, kelvins))
 
 
 def common_unit(value: Any) -> Unit | None:
-    """The unit of a quantity, or the one that all quantities of a list have."""
+    """The unit of a quantity, or the common unit of all quantities in a list."""
     if isinstance(value, Quantity):
         return unit_of_quantity(value)
     if not isinstance(value, (list, tuple)) or not value:
@@ -91,7 +91,7 @@ def common_unit(value: Any) -> Unit | None:
 def parsed(name: str, unit: Any) -> Unit:
     """The unit that a leaf declares: a text such as "kg m2/s", or a value of `tx.units` that is 1 in SI.
 
-    Raises: ModelError for another text, or a unit that is not SI, in whose numbers no leaf is.
+    Raises: ModelError for another text, or a unit that is not an SI unit, which leaves always have.
     """
     if isinstance(unit, Unit):
         return unit
@@ -99,7 +99,7 @@ def parsed(name: str, unit: Any) -> Unit:
         if float(unit) != 1.0:
             raise ModelError(
                 f"{name!r} expects a unit of kg, m, s, rad and K, got {unit!r}.\n"
-                "  fix: leaves have SI units; multiply the numbers by the unit instead"
+                "  fix: use an SI unit, and multiply the numbers by their unit"
             )
         return unit_of_quantity(unit)
     if not isinstance(unit, str):

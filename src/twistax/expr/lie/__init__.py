@@ -1,4 +1,4 @@
-"""Nodes of Lie groups and their algebras."""
+"""Nodes for Lie groups and their algebras."""
 
 from .adjoint import Adjoint, AdjointAction, AdjointDual, CoadjointAction, SE3Adjoint, SE3AdjointDual, SO3Adjoint
 from .attitude import EulerAngles, EulerRotation, euler, pose, quaternion, rotation, translation

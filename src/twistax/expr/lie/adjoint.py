@@ -1,7 +1,9 @@
-"""Adjoint and coadjoint operators: how twists and wrenches act, and how they change frame, as a matrix or without one.
+"""Adjoint and coadjoint operators: their action on twists and wrenches, and changes of frame, as matrices or
+matrix-free.
 
 Conventions: twist xi = [v; w], wrench F = [f; tau], momentum mu = [p; L], all in the body frame; T_ab maps coordinates
-of frame b to frame a, p_a = T_ab p_b. With order=ANGULAR_FIRST the same operators read and give [w; v].
+of frame b to frame a, p_a = T_ab p_b. With order=ANGULAR_FIRST the operands and results of the same operators are [w;
+v].
 
 Source: R. Murray, Z. Li, S. Sastry, A Mathematical Introduction to Robotic Manipulation (1994), chapter 2;
 R. Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 2, for [w; v], and appendix A for the products.
@@ -65,7 +67,9 @@ class Adjoint(TwistNode):
     cases = both_orders(twist1=TWIST, twist2=OTHER_TWIST)
 
     def simplify(self) -> Expr:
-        """[xi, xi] is 0, and so is the bracket with 0; with a half of zeros only the other products are left."""
+        """[xi, xi] is 0, and so is the bracket with 0; for an operand with a zero half, only the other products
+        remain.
+        """
         one, other = self.twist1, self.twist2
         if is_constant(one, 0.0) or is_constant(other, 0.0) or one.key() == other.key():
             return zeros_of(self)
@@ -98,7 +102,9 @@ class AdjointDual(TwistNode):
     cases = both_orders(twist=TWIST, momentum=OTHER_TWIST)
 
     def simplify(self) -> Expr:
-        """A body at rest, or without momentum, has no such term; a half of zeros leaves only the other products."""
+        """The term of a body at rest, or without momentum, is zero; for an operand with a zero half, only the other
+        products remain.
+        """
         if is_constant(self.twist, 0.0) or is_constant(self.momentum, 0.0):
             return zeros_of(self)
         if not (has_zero_half(self.twist, self.order) or has_zero_half(self.momentum, self.order)):
@@ -201,7 +207,9 @@ class SO3Adjoint(Expr):
 
 
 class _Action(ColumnsNode):
-    """Base of both actions. One half of the six-vector is rotated, the other also gets its moment."""
+    """Base class of both actions. One half of the six-vector is rotated; the other half is rotated and gets the
+    moment.
+    """
 
     transform: Operand
     order = LINEAR_FIRST
@@ -292,14 +300,14 @@ def _cases(vector: str) -> list[dict[str, Any]]:
 class AdjointAction(_Action):
     """$Ad_T xi$ without the matrix: $[R v + p x R w; R w]$. Shapes: (4, 4), (6,) -> (6,); (4, 4), (6, k) -> (6, k).
 
-    `canonicalize` makes it of `SE3Adjoint(T) @ xi`. Written with inverse=True it is
-    $Ad_(T^-1) xi = [R^T (v - p x w); R^T w]$, which needs no $T^-1$.
+    `canonicalize` builds it from `SE3Adjoint(T) @ xi`. With inverse=True it is $Ad_(T^-1) xi = [R^T (v - p x w); R^T
+    w]$, computed without $T^-1$.
 
     Attributes:
         transform: T_ab (4, 4), a pose.
-        twist: in frame b (with inverse=True in frame a), (6,), or k of them as columns.
+        twist: (6,) in frame b (with inverse=True in frame a), or k of them as columns.
         order: order of the twist and the result.
-        inverse: whether $T^-1$ acts.
+        inverse: whether to apply $T^-1$ in place of T.
     Raises: ShapeError for an operand of another shape.
     """
 
@@ -315,14 +323,14 @@ class AdjointAction(_Action):
 class CoadjointAction(_Action):
     """$Ad*_T F$ without the matrix: $[R f; R tau + p x R f]$. Shapes: (4, 4), (6,) -> (6,); (4, 4), (6, k) -> (6, k).
 
-    `canonicalize` makes it of `SE3AdjointDual(T) @ F`. Written with inverse=True it is
-    $Ad*_(T^-1) F = [R^T f; R^T (tau - p x f)]$, which needs no $T^-1$.
+    `canonicalize` builds it from `SE3AdjointDual(T) @ F`. With inverse=True it is $Ad*_(T^-1) F = [R^T f; R^T (tau - p
+    x f)]$, computed without $T^-1$.
 
     Attributes:
         transform: T_ab (4, 4), a pose.
-        wrench: in frame b (with inverse=True in frame a), (6,), or k of them as columns.
+        wrench: (6,) in frame b (with inverse=True in frame a), or k of them as columns.
         order: order of the wrench and the result.
-        inverse: whether $T^-1$ acts.
+        inverse: whether to apply $T^-1$ in place of T.
     Raises: ShapeError for an operand of another shape.
     """
 

@@ -1,6 +1,6 @@
 """Attitudes as Euler angles, quaternions and rotation vectors, converted to and from rotations and poses.
 
-`pose`, `euler` and `quaternion` take numbers, and give arrays, or expressions, and give expressions.
+`pose`, `euler` and `quaternion` return arrays for numbers, and expressions for expressions.
 """
 
 from __future__ import annotations
@@ -33,10 +33,11 @@ class EulerRotation(Expr):
 
     Attributes:
         angles: (3,), rad.
-        sequence: three axes, one case, no axis twice in succession: twelve about fixed axes, twelve about body axes.
+        sequence: three axes in one case, without an immediate repetition: lower case for fixed axes, upper case for
+            body axes; twelve sequences each.
     Raises:
         ShapeError: angles is not of shape (3,).
-        InputError: another sequence.
+        InputError: an invalid sequence.
     """
 
     angles: Operand
@@ -72,17 +73,17 @@ class EulerAngles(Expr):
 
     Attributes:
         rotation: R (3, 3).
-        sequence: as of `EulerRotation`.
+        sequence: as for `EulerRotation`.
     Raises:
         ShapeError: rotation is not of shape (3, 3).
-        InputError: another sequence, or a constant that is not a rotation.
+        InputError: an invalid sequence, or a constant that is not a rotation.
     """
 
     rotation: Operand
     sequence: str = ROLL_PITCH_YAW
     kinds = rules.NUMBERS
     takes, gives = ((3, 3),), (3,)
-    # Off the group the map is an arbitrary extension, so the cases are elements of it: they go through Exp.
+    # Outside of the group the map is an arbitrary extension, so the examples are group elements, computed by Exp.
     cases = (
         (lambda cls, w: cls(SO3Exp(w)), {"w": [0.4, -1.1, 0.6]}),
         (lambda cls, w: cls(SO3Exp(w), "XYX"), {"w": [0.4, -1.1, 0.6]}),
@@ -107,7 +108,8 @@ def pose(
 ) -> Any:
     """The pose [R p; 0 1] from a position and at most one attitude; the defaults are zero and the identity.
 
-    Numbers give an array of their precision; an expression, or a list with an expression, gives an expression.
+    For numbers, the result is an array of their precision; for an expression, or a list with an expression, it is an
+    expression.
 
     Args:
         position: (3,), m.
@@ -115,13 +117,13 @@ def pose(
         quaternion: (w, x, y, z), not zero; it is normalised.
         euler: three angles in rad, in the order of the sequence: roll, pitch, yaw by default.
         rotation_vector: (3,) in rad, $R = Exp(it)$.
-        sequence: axes of `euler`: small letters for fixed axes, "xyz", R = Rz Ry Rx; capital ones for body
+        sequence: axes of `euler`: lower-case letters for fixed axes, "xyz", R = Rz Ry Rx; capital letters for body
             axes, "ZYX" with yaw, pitch, roll.
     Raises:
-        ShapeError: a wrong shape.
-        InputError: two attitudes; a sequence that does not name three axes;
-            another unit; numbers that are not finite, a zero quaternion, or a matrix that is not a rotation.
-            For traced or computed values of this kind the pose is NaN.
+        ShapeError: an argument of the wrong shape.
+        InputError: more than one attitude; an invalid sequence; a value with a wrong unit; numbers that are not finite,
+            a zero quaternion, or a matrix that is not a rotation. For traced or computed values of this kind the pose
+            is NaN.
     """
     attitudes = {"rotation": rotation, "quaternion": quaternion, "euler": euler, "rotation_vector": rotation_vector}
     of_numbers: Any = pose_of_numbers
@@ -139,24 +141,25 @@ def pose(
 
 
 def euler(R: ExprLike, sequence: str = ROLL_PITCH_YAW) -> Any:
-    """The Euler angles (3,) in rad of a rotation (3, 3) or a pose (4, 4), numbers or an expression, as `EulerAngles`.
+    """The Euler angles (3,) in rad of a rotation (3, 3) or a pose (4, 4), from numbers or an expression; see
+    `EulerAngles`.
 
     The default sequence is (roll, pitch, yaw): R = Rz(yaw) Ry(pitch) Rx(roll), with roll = 0 at gimbal lock.
 
     Raises:
-        ShapeError: another shape.
-        InputError: another sequence, or numbers that are not a rotation.
+        ShapeError: an argument of another shape.
+        InputError: an invalid sequence, or numbers that are not a rotation.
     """
     return EulerAngles(_rotation_of(R), sequence) if isinstance(R, Expr) else euler_of_numbers(R, sequence)
 
 
 def quaternion(R: ExprLike) -> Any:
-    """The unit quaternion (w, x, y, z), w >= 0, of a rotation (3, 3) or a pose (4, 4), numbers or an expression.
+    """The unit quaternion (w, x, y, z), w >= 0, of a rotation (3, 3) or a pose (4, 4), from numbers or an expression.
 
     At exactly a half turn its first non-zero component is positive.
 
     Raises:
-        ShapeError: another shape.
+        ShapeError: an argument of another shape.
         InputError: numbers that are not a rotation.
     """
     return Quaternion(_rotation_of(R)) if isinstance(R, Expr) else quaternion_of_numbers(R)
@@ -178,17 +181,19 @@ def _joined(value: Any) -> Expr:
 
 
 def translation(position: ExprLike) -> Expr:
-    """The pose [I p; 0 1] of a frame at position p (3,), in m, without rotation; an expression or numbers.
+    """The pose [I p; 0 1] of a frame at position p (3,), in m, without rotation; from an expression or numbers.
 
-    Products with Ad and Ad* of it, and of its inverse, take the six multiplications of one cross product. Raises
-    ShapeError.
+    Products with its Ad and Ad*, and with those of its inverse, take the six multiplications of one cross product.
+    Raises ShapeError if p is not of shape (3,).
     """
     return Pose(np.eye(3), position)
 
 
 def rotation(rotation: ExprLike) -> Expr:
-    """The pose [R 0; 0 1] of a frame turned by a rotation R (3, 3) about the common origin; an expression or numbers.
+    """The pose [R 0; 0 1] of a frame that is rotated by R (3, 3) about the common origin; from an expression or
+    numbers.
 
-    Ad and Ad* of it, and of its inverse, rotate both halves of a six-vector. Raises ShapeError.
+    Its Ad and Ad*, and those of its inverse, rotate both halves of a six-vector. Raises ShapeError if R is not of shape
+    (3, 3).
     """
     return Pose(rotation, np.zeros(3))

@@ -34,33 +34,34 @@ def both_orders(**values: Any) -> list[dict[str, Any]]:
     return [values | {"order": order} for order in (LINEAR_FIRST, ANGULAR_FIRST)]
 
 
-#: How far a constant may be from a rotation or a pose. Matrices typed with four digits pass, a reflection does not.
+#: The largest deviation of a constant from a rotation or a pose. Matrices with four digits are accepted, a reflection
+#: is not.
 NEARLY = 1e-4
 
 
 def check_element(owner: str, operand: str, element: Expr) -> None:
-    """Raise ModelError where a constant operand is neither a rotation nor a pose, or a state is on another group."""
+    """Raise ModelError if a constant operand is neither a rotation nor a pose, or if a state is on another group."""
     refuse_other_group(owner, operand, element)
     value = element.value if isinstance(element, Constant) else np.zeros(0)
     if value.shape in ELEMENTS and not element_defect(value) <= NEARLY:
         raise ModelError(
             f"{owner} expects {operand} to be a {'pose [R p; 0 1]' if len(value) == 4 else 'rotation'}, got\n{value}, "
-            f"off by {element_defect(value):.2g}\n"
-            "  fix: tx.pose(...) builds one, tx.SE3.normalize(T) takes the nearest one of a drifted matrix"
+            f"with an error of {element_defect(value):.2g}\n"
+            "  fix: tx.pose(...) builds one, tx.SE3.normalize(T) returns the pose nearest to a matrix"
         )
 
 
 def refuse_other_group(owner: str, operand: str, element: Expr) -> None:
-    """Raise ModelError for a state on another group than SO(3) and SE(3), whatever its shape."""
+    """Raise ModelError for a state on a group other than SO(3) and SE(3), regardless of its shape."""
     if isinstance(element, State) and not (element.group.flat or element.group.rigid):
         raise ModelError(
             f"{owner} expects {operand} to be a rotation or a pose, state {element!r} is on {element.group.name}.\n"
-            "  fix: write it with the entries of the state, or as a custom node"
+            "  fix: use the entries of the state, or a custom node"
         )
 
 
 class TwistNode(Expr):
-    """A node over 6-vectors. It has an order, which its six-dimensional operands and result must have too."""
+    """A node over six-vectors. It has an order, which its six-dimensional operands and result must have, too."""
 
     # Not annotated here: each node declares `order: Order = LINEAR_FIRST` after its operands.
     order = LINEAR_FIRST
@@ -80,7 +81,7 @@ class TwistNode(Expr):
         return [self.order if s in _SIX else None for s in shapes], self.order if self.shape in _SIX else None
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
-        """The function works linear first; what is not six-dimensional passes as it is."""
+        """The function computes with the linear part first; values that are not six-dimensional are unchanged."""
         return self._swapped(type(self).function(*map(self._swapped, values)))
 
     def _swapped(self, value: jax.Array) -> jax.Array:
@@ -88,7 +89,7 @@ class TwistNode(Expr):
 
 
 class ColumnsNode(TwistNode):
-    """A node over six-vectors that may stand side by side, as the k columns of (6, k). Only its rows have an order."""
+    """A node over six-vectors that may be the k columns of (6, k). Only its rows have an order."""
 
     abstract = True
 
@@ -105,7 +106,7 @@ class ColumnsNode(TwistNode):
 
 
 def expect_columns(node: Expr, operand: str, got: Shape, rows: int) -> None:
-    """Raise ShapeError unless an operand is one vector with this number of rows, or k of them side by side."""
+    """Raise ShapeError unless an operand is one vector with this number of rows, or a matrix of k such columns."""
     if len(got) != 2 or got[0] != rows:
         expect(node, operand, got, (rows,), f"one vector ({rows},) or k columns ({rows}, k)")
 
@@ -114,7 +115,7 @@ _GROUPS = {(3,): so3, (6,): se3, (3, 3): so3, (4, 4): se3}
 
 
 def of_group(name: str) -> Callable[..., jax.Array]:
-    """The map of that name of the group that has the shape of the first value."""
+    """The map with this name of the group that has the shape of the first value."""
     return lambda *values: getattr(_GROUPS[values[0].shape], name)(*values)
 
 
@@ -122,7 +123,7 @@ TANGENTS, ELEMENTS = ((3,), (6,)), ((3, 3), (4, 4))
 
 
 def expect_one_of(node: Expr, operand: str, got: Shape, known: tuple[Shape, Shape]) -> None:
-    """Raise ShapeError if an operand has the shape of neither group."""
+    """Raise ShapeError if the shape of an operand is that of neither group."""
     if got not in known:
         raise ShapeError(f"{type(node).__name__} expects {operand} with shape {known[0]} or {known[1]}, got {got}")
 
@@ -141,7 +142,7 @@ def unit_vector(owner: str, name: str, value: Any) -> np.ndarray:
     if not np.isfinite(largest) or largest == 0.0:
         raise ModelError(
             f"{owner} expects {name} to be a direction, got {vector.tolist()}.\n"
-            "  fix: give three finite numbers, not all zero; the length does not matter"
+            "  fix: pass three finite numbers, not all zero; the vector is normalised"
         )
     # Scaled first: the squares of very large or very small entries leave the range. Adding 0 turns -0 into 0.
     vector = vector / largest
@@ -181,7 +182,7 @@ class LinearPart(_Part):
     Attributes:
         vector: a twist, wrench or momentum (6,), or k of them as columns.
         order: its order.
-    Raises: ShapeError if vector has no six rows.
+    Raises: ShapeError if vector does not have six rows.
     """
 
     label = "linear"
@@ -190,7 +191,7 @@ class LinearPart(_Part):
 class AngularPart(_Part):
     """w of [v; w], or tau of [f; tau]. Shapes: (6,) -> (3,); (6, k) -> (3, k).
 
-    Attributes, Raises: as of `LinearPart`, ShapeError if vector has no six rows.
+    Attributes, Raises: as for `LinearPart`; ShapeError if vector does not have six rows.
     """
 
     label = "angular"
@@ -205,7 +206,7 @@ class JoinedParts(ColumnsNode):
     Attributes:
         linear, angular: (3,) each, or k columns each.
         order: order of the result.
-    Raises: ShapeError if a part has no three rows, or the parts differ in shape.
+    Raises: ShapeError if a part does not have three rows, or if the parts differ in shape.
     """
 
     by_values = True
@@ -231,7 +232,7 @@ class JoinedParts(ColumnsNode):
 
 
 def halves(vector: Expr, order: Order) -> tuple[Expr, Expr]:
-    """The linear and the angular part of a canonical six-vector or of columns, as far as they are known."""
+    """The linear and the angular part of a canonical six-vector or of columns, if they are known."""
     linear, angular = (fold(part(vector, order=order).simplify()) for part in (LinearPart, AngularPart))
     return linear, angular
 
@@ -245,7 +246,7 @@ class Reorder(TwistNode):
     """The same twist, wrench or 6x6 operator in the other order. Shapes: (6,) -> (6,) or (6, 6) -> (6, 6).
 
     Attributes:
-        value: in the other order.
+        value: a twist, wrench or operator in the other order.
         order: order of the result.
     Raises: ShapeError if value is neither (6,) nor (6, 6).
     """
@@ -262,7 +263,7 @@ class Reorder(TwistNode):
         return shapes[0]
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
-        # Swapping the halves is its own inverse.
+        # Exchanging the halves is its own inverse.
         return ANGULAR_FIRST.from_linear_first(values[0])
 
     def simplify(self) -> Expr:
@@ -274,7 +275,8 @@ class Reorder(TwistNode):
 
 
 def linear(vector: ExprLike, order: Order = LINEAR_FIRST) -> Expr:
-    """The linear part (3,) of a vector (6,), a twist, wrench or momentum in that order; of k columns (6, k), (3, k).
+    """The linear part (3,) of a vector (6,) in the order `order`, a twist, wrench or momentum; for k columns (6, k) it
+    is (3, k).
 
     Raises ShapeError.
     """
@@ -282,7 +284,8 @@ def linear(vector: ExprLike, order: Order = LINEAR_FIRST) -> Expr:
 
 
 def angular(vector: ExprLike, order: Order = LINEAR_FIRST) -> Expr:
-    """The angular part (3,) of a vector (6,), a twist, wrench or momentum in that order; of k columns (6, k), (3, k).
+    """The angular part (3,) of a vector (6,) in the order `order`, a twist, wrench or momentum; for k columns (6, k) it
+    is (3, k).
 
     Raises ShapeError.
     """
@@ -292,7 +295,7 @@ def angular(vector: ExprLike, order: Order = LINEAR_FIRST) -> Expr:
 def twist(*, linear: ExprLike, angular: ExprLike, order: Order = LINEAR_FIRST) -> Expr:
     """The twist (6,) of a linear velocity (3,) in m/s and an angular rate (3,) in rad/s, both in the body frame.
 
-    `order` determines which comes first. Raises ShapeError.
+    `order` determines which part is first. Raises ShapeError if a part is not of shape (3,).
     """
     return JoinedParts(linear, angular, order=order)
 
@@ -300,6 +303,6 @@ def twist(*, linear: ExprLike, angular: ExprLike, order: Order = LINEAR_FIRST) -
 def wrench(*, force: ExprLike, torque: ExprLike, order: Order = LINEAR_FIRST) -> Expr:
     """The wrench (6,) of a force (3,) in N and a torque (3,) in N m, both in the body frame.
 
-    `order` determines which comes first. Raises ShapeError.
+    `order` determines which part is first. Raises ShapeError if a part is not of shape (3,).
     """
     return JoinedParts(force, torque, order=order)

@@ -1,4 +1,5 @@
-"""Rotations and poses; the shape says which: exponential, logarithm, products, inverses, action on points.
+"""Nodes for rotations and poses, distinguished by their shape: exponential, logarithm, products, inverses, action on
+points.
 
 Source: R. Murray, Z. Li, S. Sastry, A Mathematical Introduction to Robotic Manipulation (1994), chapter 2;
 J. Sola, J. Deray, D. Atchuthan, A micro Lie theory for state estimation in robotics (2018), appendices.
@@ -67,7 +68,8 @@ class SO3Exp(Expr):
 class SO3Log(Expr):
     """Log: rotation (3, 3) -> rotation vector (3,) in rad, of length at most pi.
 
-    At exactly a half turn the axis whose first non-zero component is positive is returned; gradients are finite there.
+    At exactly a half turn, the axis is the one whose first non-zero component is positive; derivatives are finite
+    there.
 
     Attributes:
         rotation: R (3, 3).
@@ -79,7 +81,7 @@ class SO3Log(Expr):
     takes, gives = ((3, 3),), (3,)
     function = so3.unchecked_log
     latex_name = r"\operatorname{Log}"
-    # Off the group the map is an extension nobody differentiates: the case goes through Exp.
+    # Outside of the group the map is an arbitrary extension: the example is computed by Exp.
     cases = ((lambda cls, w: cls(SO3Exp(w)), {"w": [0.4, -1.1, 0.6]}),)
 
     def validate(self) -> None:
@@ -91,7 +93,7 @@ class SE3Exp(TwistNode):
 
     Attributes:
         twist: (6,), m and rad.
-        order: its order.
+        order: order of the twist.
     Raises: ShapeError if twist is not of shape (6,).
     """
 
@@ -116,8 +118,8 @@ class SE3Exp(TwistNode):
 class SE3Log(TwistNode):
     """Log: pose (4, 4) -> twist (6,), rotation angle at most pi; $[V(w)^-1 p; w]$ with $w = Log(R)$.
 
-    At exactly a half turn the axis whose first non-zero component is positive is returned; gradients are finite there.
-    Log(Exp(xi)) is xi only within a half turn, so no rewrite removes it.
+    At exactly a half turn, the axis is the one whose first non-zero component is positive; derivatives are finite
+    there. Log(Exp(xi)) is xi only within a half turn, so no rewrite removes it.
 
     Attributes:
         transform: T (4, 4).
@@ -142,7 +144,7 @@ class Compose(Expr):
 
     Attributes:
         left, right: both rotations (3, 3) or both poses (4, 4).
-    Raises: ShapeError for an operand of another shape, or a rotation meets a pose.
+    Raises: ShapeError for an operand of another shape, or for a rotation with a pose.
     """
 
     left: Operand
@@ -167,7 +169,7 @@ class Compose(Expr):
         return all(operands)
 
     def simplify(self) -> Expr:
-        """The identity vanishes, and so does a group element beside its inverse, also inside of a chain."""
+        """An identity vanishes, and so does a group element next to its inverse, also inside a chain of products."""
         left, right = self.left, self.right
         if is_identity(left):
             return right
@@ -295,7 +297,7 @@ class Pose(Expr):
 
 
 def parts_of_pose(T: Expr) -> tuple[Expr, Expr]:
-    """The rotation and the position of a canonical pose, as far as they are known."""
+    """The rotation and the position of a canonical pose, if they are known."""
     if isinstance(T, Pose):
         return T.rotation, T.position
     return fold(Index(T, np.s_[:3, :3])), fold(Index(T, np.s_[:3, 3]))
@@ -360,7 +362,7 @@ class Vee(TwistNode):
 class AxisRotation(Expr):
     """$R = a a^T + sin q [a]x + cos q (I - a a^T)$: the rotation by q about a fixed unit axis a. Shapes: () -> (3, 3).
 
-    The same as SO3Exp(q a) with only one sine and one cosine (Rodrigues).
+    Equal to SO3Exp(q a), with only one sine and one cosine (Rodrigues' formula).
 
     Attributes:
         angle: q in rad.

@@ -1,4 +1,4 @@
-"""Jacobians of the exponential.
+"""Jacobians of the exponential map.
 
 Source: G. Chirikjian, Stochastic Models, Information Theory, and Lie Groups, vol. 2 (2012), chapter 10.
 """
@@ -41,7 +41,7 @@ class LeftJacobian(_Jacobian):
 class RightJacobian(_Jacobian):
     """J_r with $Exp(xi + d) = Exp(xi) Exp(J_r(xi) d)$ to first order. Shapes: (n,) -> (n, n), n = 3 or 6.
 
-    Attributes, Raises: as of `LeftJacobian`, ShapeError for a tangent of another shape.
+    Attributes, Raises: as for `LeftJacobian`; ShapeError for a tangent of another shape.
     """
 
     function = of_group("right_jacobian")
@@ -50,7 +50,7 @@ class RightJacobian(_Jacobian):
 class LeftJacobianInverse(_Jacobian):
     """The inverse of J_l, for angles below a full turn. Shapes: (n,) -> (n, n), n = 3 or 6.
 
-    Attributes, Raises: as of `LeftJacobian`, ShapeError for a tangent of another shape.
+    Attributes, Raises: as for `LeftJacobian`; ShapeError for a tangent of another shape.
     """
 
     function = of_group("left_jacobian_inv")
@@ -61,7 +61,7 @@ class RightJacobianInverse(_Jacobian):
 
     With $g = g_n Exp(eta)$ and a body twist Omega: $eta' = J_r(eta)^-1 Omega$.
 
-    Attributes, Raises: as of `LeftJacobian`, ShapeError for a tangent of another shape.
+    Attributes, Raises: as for `LeftJacobian`; ShapeError for a tangent of another shape.
     """
 
     function = of_group("right_jacobian_inv")

@@ -42,7 +42,7 @@ class QDCM(Expr):
 
 
 class SSM(Expr):
-    """The skew-symmetric matrix $[w]x$ with $[w]x v = w x v$. Shapes: (3,) -> (3, 3); the unit of w.
+    """The skew-symmetric matrix $[w]x$ with $[w]x v = w x v$. Shapes: (3,) -> (3, 3). Its unit is that of w.
 
     $[w]x = [0, -w_z, w_y; w_z, 0, -w_x; -w_y, w_x, 0]$
 

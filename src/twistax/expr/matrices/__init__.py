@@ -1,1 +1,1 @@
-"""Linear algebra on expressions; `tx.linalg` is its public face."""
+"""Linear algebra on expressions; the public module is `tx.linalg`."""

@@ -1,4 +1,4 @@
-"""Independent rows of a matrix, by elimination with pivots."""
+"""Independent rows of a matrix, by elimination with pivoting."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _TRUSTED, _ROUND_OFF = 16.0, 4.0
 
 
 def independent_rows(S: jax.Array, tolerance: float, blocks: tuple[int, ...], unit: float) -> jax.Array:
-    """(2, m) from the Gram matrix S (m, m) of rows: 1 for selected rows, 0 for others; and their distances."""
+    """(2, m), from the Gram matrix S (m, m) of the rows: 1 for selected rows, 0 for others; and the distances."""
     m, eps = S.shape[-1], float(jnp.finfo(S.dtype).eps)
     least = max(tolerance**2, _TRUSTED * m * eps)
     left, longest = S, jnp.maximum(jnp.max(_diagonal(S, m)), unit**2)
@@ -51,21 +51,23 @@ def _diagonal(S: jax.Array, size: int) -> jax.Array:
 class IndependentRows(Expr):
     """A maximal set of independent rows of a matrix G, from its Gram matrix $S = G G^T$. Shape: (m, m) -> (2, m).
 
-    Rows are chosen one by one, each time the one that is farthest from the span of the chosen ones. The choice ends
-    when no distance is above `tolerance` times the length of the longest row, or times `unit` where all are shorter.
-    The first row of the value is 1 for chosen rows and 0 for others, and has no derivative; the second is the
-    distance of each row from the span of those chosen before it. Distances at round-off are set to zero.
+    Rows are selected one by one, each time the one with the largest distance from the span of the selected ones. The
+    selection ends when no distance exceeds `tolerance` times the length of the longest row, or times `unit` if all rows
+    are shorter than that. The first row of the value is 1 for selected rows and 0 for others, and has no derivative.
+    The second is the distance of each row from the span of those selected before it. Distances at round-off are set to
+    zero.
 
     S has half the digits of G: in single precision a tolerance below about 2e-3 has no effect.
 
     Attributes:
         operand: S, symmetric.
         tolerance: positive and below one.
-        blocks: numbers of rows that are compared at a time, block after block; all rows by default. Blocks are cheaper
-            for many rows, and less accurate where a nearly dependent row precedes a better one.
+        blocks: sizes of groups of rows that are compared with one another, group after group; by default one group of
+            all rows. Groups are cheaper for many rows, and less accurate if a nearly dependent row precedes a better
+            one.
         unit: the length of rows without cancellation; zero if unknown.
-    Raises: ShapeError if the operand is not a square matrix, or blocks have another number of rows; ModelError for
-        another tolerance, or a unit that is negative or not finite.
+    Raises: ShapeError if the operand is not a square matrix, or if the sizes in `blocks` do not add up to its rows;
+        ModelError for an invalid tolerance, or a unit that is negative or not finite.
     Source: N. Higham, Accuracy and Stability of Numerical Algorithms (2002), section 10.3, complete pivoting.
     """
 
@@ -92,7 +94,7 @@ class IndependentRows(Expr):
         (S,) = shapes
         expect_square(self, "the operand", S)
         if self.blocks and sum(self.blocks) != S[0]:
-            raise ShapeError(f"IndependentRows expects blocks of {S[0]} rows, got {self.blocks}")
+            raise ShapeError(f"IndependentRows expects blocks whose sizes add up to {S[0]}, got {self.blocks}")
         return (2, S[0])
 
     def evaluate(self, *values: Any) -> jax.Array:

@@ -1,4 +1,4 @@
-"""Linear algebra: transpose, diagonal, sums, norms, and products of vectors."""
+"""Nodes of linear algebra: transpose, diagonal, sums, norms, and products of vectors."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Transpose(Expr):
         return self.operand
 
     def simplify(self) -> Expr:
-        """A vector is its own transpose; some matrices know theirs: transposes, diagonal matrices, Ad and Ad*."""
+        """A vector is its own transpose; transposes, diagonal matrices, Ad and Ad* have a simpler form."""
         if len(self.shape) < 2:
             return self.operand
         known = self.operand.transposed()
@@ -74,7 +74,8 @@ class Diag(Expr):
         (shape,) = shapes
         if len(shape) != 1:
             raise ShapeError(
-                f"Diag expects a vector, got shape {shape}", hint="for the diagonal of a matrix use A[range, range]"
+                f"Diag expects a vector, got shape {shape}",
+                hint="for the diagonal of a matrix use A[np.arange(n), np.arange(n)]",
             )
         return shape + shape
 
@@ -152,9 +153,9 @@ def matrix_norm(x: jax.Array, order: Any) -> jax.Array:
 
 
 class Norm(Expr):
-    """Size of a vector or matrix, in its unit. Shapes: any -> ().
+    """Norm of a vector or matrix, in its unit. Shapes: any -> ().
 
-    At zero the derivative is defined as 0, for every order.
+    At zero the derivative is defined as 0, to all orders.
 
     Attributes:
         ord: "fro", the default, the root of the sum of squares for any shape. For vectors also "inf" (largest |x_i|),

@@ -1,4 +1,4 @@
-"""Inverses and linear systems; up to three unknowns by elimination, without branches and library calls.
+"""Inverses and linear systems; systems of up to `LARGEST` unknowns by elimination, without branches and library calls.
 
 The error of the adjugate grows with the square of the condition number, that of elimination with the number itself.
 A 3x3 solve takes 61 operations on scalars, 57 by the adjugate; an inverse 100, by the adjugate 42.
@@ -35,7 +35,7 @@ LARGEST = 3
 def eliminate(A: jax.Array, b: jax.Array) -> jax.Array:
     """The x with A x = b: A (..., n, n), b (..., n, k), n up to `LARGEST`.
 
-    Derivatives are those of the implicit function. A singular matrix gives inf or NaN.
+    Derivatives are those of the implicit function theorem. For a singular matrix the result is inf or NaN.
     """
     return jax.lax.custom_linear_solve(
         # A sum of products: accelerators round the factors of a float32 matrix product to fewer bits.
@@ -88,11 +88,11 @@ def solve(A: jax.Array, b: jax.Array) -> jax.Array:
 
 
 def solve_again(A: jax.Array, b: jax.Array) -> jax.Array:
-    """The x with A x = b by the inverse of A, for an A that is the same in all iterations of a loop.
+    """The x with A x = b by the inverse of A, for an A that is constant over all iterations of a loop.
 
-    Two steps of refinement bring the residual to that of an elimination: each multiplies what an inverse leaves by eps
-    times the condition number. One alone leaves up to 400 times as much at a condition of 1e10. Source: Higham,
-    Accuracy and Stability of Numerical Algorithms (2002), ch. 12.
+    Two steps of iterative refinement reduce the residual to that of an elimination: each multiplies the error of an
+    inverse by eps times the condition number. After a single step it is up to 400 times as large at a condition number
+    of 1e10. Source: Higham, Accuracy and Stability of Numerical Algorithms (2002), ch. 12.
     """
     inverted = inverse(A)
     x = multiply(inverted, b)
@@ -108,7 +108,7 @@ def _well_conditioned(n: int) -> np.ndarray:
 class Inv(Expr):
     """Inverse $A^-1$. Shapes: (..., n, n) -> the same. To solve A x = b use Solve, which is cheaper and more accurate.
 
-    A singular matrix gives inf or NaN.
+    For a singular matrix the result is inf or NaN.
 
     Raises: ShapeError if the operand is not a square matrix.
     """
@@ -131,7 +131,7 @@ class Inv(Expr):
         return [[(self.operand, -1), (self, -2)], [(self.operand, -2), (self, -1)]]
 
     def simplify(self) -> Expr:
-        """Some matrices know their inverse: inverses, diagonal matrices, Ad and Ad*."""
+        """Inverses, diagonal matrices, Ad and Ad* have a simpler inverse."""
         known = self.operand.inverted()
         return self if known is None else known
 
@@ -171,7 +171,7 @@ class LinearSystem(Expr):
 class Solve(LinearSystem):
     """The x with $A x = b$. Shapes: A (n, n), b (n,) -> (n,); b (n, k) -> (n, k). Its unit is that of b over that of A.
 
-    A singular matrix gives inf or NaN.
+    For a singular matrix the result is inf or NaN.
 
     Attributes:
         A: the matrix, an inertia for example.
@@ -189,7 +189,9 @@ class Solve(LinearSystem):
         return solve_again(*values) if stays and 3 < self.A.shape[0] <= LARGEST_INVERTED else solve(*values)
 
     def simplify(self) -> Expr:
-        """I x = b is x = b; a diagonal divides; a known inverse multiplies; a good constant is inverted once."""
+        """I x = b is x = b; a diagonal matrix divides; a known inverse multiplies; a well-conditioned constant is
+        inverted once.
+        """
         A, b = self.A, self.b
         if is_identity(A):
             return b

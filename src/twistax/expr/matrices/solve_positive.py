@@ -1,7 +1,8 @@
-"""Linear systems of a symmetric positive definite matrix, such as an inertia: elimination from the last row, no pivots.
+"""Linear systems with a symmetric positive definite matrix, such as an inertia: elimination from the last row, without
+pivoting.
 
-Where row i of the matrix of a mechanism has entries for the freedoms before i only, as in a tree, elimination from the
-last row makes no new ones: what is structurally zero stays so and costs nothing.
+In a mechanism that is a tree, row i of the matrix has entries only for the degrees of freedom before i. Elimination
+from the last row then preserves the sparsity, so structural zeros have no cost.
 
 Source: R. Featherstone, Rigid Body Dynamics Algorithms (2008), section 6.5.
 """
@@ -20,7 +21,9 @@ from .solve import LinearSystem
 
 
 def solve_positive(A: jax.Array, b: jax.Array) -> jax.Array:
-    """The x (n, k) with A x = b by A = L' D L, L unit lower triangular; above its diagonal A is not read."""
+    """The x (n, k) with A x = b by A = L' D L, with L unit lower triangular; entries of A above its diagonal are not
+    read.
+    """
     n, left, right = A.shape[-1], A, b
     factors, pivots, rows = [], [], []
     for k in reversed(range(n)):
@@ -37,9 +40,10 @@ def solve_positive(A: jax.Array, b: jax.Array) -> jax.Array:
 
 
 def inverse_factor(A: jax.Array) -> jax.Array:
-    """V (n, n), lower triangular, with A^-1 = V V^T; above its diagonal A is not read.
+    """V (n, n), lower triangular, with A^-1 = V V^T; entries of A above its diagonal are not read.
 
-    Of A = L' D L it is L^-1 D^(-1/2): a row has entries where that of L has, for the freedoms before it in a tree.
+    For A = L' D L it is L^-1 D^(-1/2), whose sparsity is that of L: row i has entries only for the degrees of freedom
+    before i.
     """
     left, factors = A, list[tuple[jax.Array, jax.Array]]()
     for k in reversed(range(A.shape[-1])):
@@ -54,7 +58,7 @@ def inverse_factor(A: jax.Array) -> jax.Array:
 
 
 def inverse_positive(A: jax.Array) -> jax.Array:
-    """A^-1, symmetric to the last bit: the half below the diagonal is not computed."""
+    """A^-1, exactly symmetric: the half below the diagonal is not computed."""
     V = inverse_factor(A)
     above = V @ V.T
     return jnp.where(np.tri(A.shape[-1], dtype=bool), above.T, above)

@@ -1,1 +1,1 @@
-"""Nodes of numbers and arrays: arithmetic, elementwise functions, choices, arrays of parts."""
+"""Nodes for numbers and arrays: arithmetic, elementwise functions, choices, array construction."""

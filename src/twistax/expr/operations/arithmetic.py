@@ -1,4 +1,4 @@
-"""Sums, products, quotients, powers, matrix products, and constraints: what operators build."""
+"""Sums, products, quotients, powers, matrix products: the nodes that operators build."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _VECTOR, _MATRIX = [1.0, -2.0, 0.5], np.arange(6.0).reshape(2, 3) ** 1.5
 
 
 def quotient(a: Numbers, b: Numbers) -> Numbers:
-    """a / b entry by entry; for JAX arrays with a derivative that neither overflows nor underflows."""
+    """a / b entry by entry; for JAX arrays, its derivative neither overflows nor underflows."""
     if not (isinstance(a, jax.Array) or isinstance(b, jax.Array)):
         return a / b
     # Not at import: it loads much of JAX that `import jax` does not.
@@ -55,7 +55,7 @@ class Add(Chained, init=False):
     """Sum a + b + ... with NumPy broadcasting.
 
     Attributes:
-        terms: two or more expressions of broadcastable shapes, any unit (the same for all).
+        terms: two or more expressions of broadcastable shapes, all with the same unit.
     Raises: ShapeError if the shapes do not broadcast.
     """
 
@@ -68,7 +68,7 @@ class Add(Chained, init=False):
     by_operators = True
 
     def simplify(self) -> Expr:
-        """Fold constants, drop zeros and pairs x - x; never change the shape. Nested sums are flattened before."""
+        """Fold constants, drop zeros and pairs x - x; the shape is preserved. Nested sums are already flattened."""
         constants = [t for t in self.terms if isinstance(t, Constant)]
         rest = _cancel([t for t in self.terms if not isinstance(t, Constant)])
         with np.errstate(all="ignore"):
@@ -137,7 +137,7 @@ class Mul(Chained, init=False):
     by_operators = True
 
     def eager_children(self) -> list[Expr]:
-        """The factors, but y^n for y^-n and y for 1 / y."""
+        """The factors, with y^n in place of y^-n, and y in place of 1 / y."""
         return [factor if (divisor := _denominator(factor)) is None else divisor for factor in self.factors]
 
     def evaluate_on_demand(self, values: list[jax.Array], branches: Sequence[Callable[[], jax.Array]]) -> jax.Array:
@@ -155,7 +155,7 @@ class Mul(Chained, init=False):
         return product
 
     def simplify(self) -> Expr:
-        """Fold constants, drop ones, absorb zeros; never change the shape. Nested products are flattened before."""
+        """Fold constants, drop ones, absorb zeros; the shape is preserved. Nested products are already flattened."""
         constants = [f for f in self.factors if isinstance(f, Constant)]
         rest = [f for f in self.factors if not isinstance(f, Constant)]
         with np.errstate(all="ignore"):
@@ -213,7 +213,7 @@ class Div(Entrywise):
         return super().evaluate(*operands)
 
     def simplify(self) -> Expr:
-        """x / 1 is x; 0 / x is 0, where x is not known to be zero or NaN."""
+        """x / 1 is x; 0 / x is 0, unless x is known to be zero or NaN."""
         if is_constant(self.right, 1.0) and self.left.shape == self.shape:
             return self.left
         return zeros_of(self) if is_constant(self.left, 0.0) and not isinstance(self.right, Constant) else self
@@ -241,8 +241,8 @@ class Neg(Entrywise):
 class Power(Entrywise):
     """Entrywise power base ** exponent with NumPy broadcasting.
 
-    A constant integer exponent is computed by multiplication, so that its derivative at zero is exact; a negative one
-    as the power of 1 / base, which is in range where the result is.
+    A constant integer exponent is computed by multiplication, so that its derivative at zero is exact. A negative one
+    is the power of 1 / base, which is representable if the result is.
 
     Raises: ShapeError if the shapes do not broadcast.
     """
@@ -351,7 +351,7 @@ class MatMul(Expr):
         return all(operands)
 
     def simplify(self) -> Expr:
-        """Identity matrices vanish; a product with zeros is zero; some matrices act without being built."""
+        """Identity matrices vanish; a product with zeros is zero; some matrices are applied without being built."""
         if is_identity(self.left) and self.right.shape == self.shape:
             return self.right
         if is_identity(self.right) and self.left.shape == self.shape:
@@ -363,7 +363,7 @@ class MatMul(Expr):
         return self if applied is None else applied
 
     def applied_to(self, vector: Expr) -> Expr | None:
-        """(A B) x is A (B x), which needs no product of matrices."""
+        """(A B) x is A (B x), which needs no matrix product."""
         matrices = self.left.ndim == self.right.ndim == 2
         return MatMul(self.left, MatMul(self.right, vector)) if matrices and vector.ndim == 1 else None
 
@@ -392,7 +392,7 @@ def _cancel(terms: list[Expr]) -> list[Expr]:
 
 
 def rebuilt(node: Any, operands: list[Expr], before: tuple[Expr, ...]) -> Expr:
-    """The variadic node over new operands; itself if nothing changed, the operand if only one is left."""
+    """The variadic node with new operands; itself if nothing changed, the operand if only one is left."""
     if len(operands) == 1:
         return operands[0]
     if len(operands) == len(before) and all(a.key() == b.key() for a, b in zip(operands, before)):

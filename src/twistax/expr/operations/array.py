@@ -1,4 +1,4 @@
-"""Arrays made of parts, joined, stacked, or as matrices of blocks; and parts of arrays."""
+"""Construction of arrays: joined, stacked, and block matrices; and indexing."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ class _Parts(Variadic, init=False):
 
 
 class Concat(_Parts, init=False):
-    """Pieces joined along the first axis. A scalar counts as a vector of one entry.
+    """Pieces joined along the first axis. A scalar counts as a vector with one entry.
 
-    Shapes: (), (n,), (m,) -> (1 + n + m,); (n, k), (m, k) -> (n + m, k). Takes the pieces one by one or in a list.
+    Shapes: (), (n,), (m,) -> (1 + n + m,); (n, k), (m, k) -> (n + m, k). The pieces are passed one by one or in a list.
 
     Attributes:
         exprs: one or more expressions that agree in all axes but the first.
@@ -60,14 +60,14 @@ class Concat(_Parts, init=False):
         return jnp.concatenate([jnp.atleast_1d(value) for value in values])
 
     def simplify(self) -> Expr:
-        """A single vector is itself. Joined pieces of joined pieces are joined once, before."""
+        """A single vector is itself. Nested Concats are already joined."""
         return self.exprs[0] if len(self.exprs) == 1 and self.exprs[0].shape else self
 
 
 class Stack(_Parts, init=False):
     """Rows of equal shape stacked along a new first axis.
 
-    Shapes: k rows of shape s -> (k, *s). Takes the rows in a list or one by one.
+    Shapes: k rows of shape s -> (k, *s). The rows are passed in a list or one by one.
 
     Attributes:
         rows: one or more expressions of equal shape.
@@ -102,7 +102,7 @@ class Stack(_Parts, init=False):
 class Hstack(_Parts, init=False):
     """Arrays side by side: joined along the second axis, vectors and scalars along the first.
 
-    Shapes: (n, j), (n, k) -> (n, j + k); (j,), (k,) -> (j + k,). Takes the arrays in a list or one by one.
+    Shapes: (n, j), (n, k) -> (n, j + k); (j,), (k,) -> (j + k,). The arrays are passed in a list or one by one.
 
     Attributes:
         arrays: one or more expressions that agree in all axes but the joined one.
@@ -124,7 +124,7 @@ class Hstack(_Parts, init=False):
         return jnp.hstack(values)
 
     def simplify(self) -> Expr:
-        """Of vectors and scalars it is Concat; a single matrix is itself."""
+        """For vectors and scalars it is Concat; a single matrix is itself."""
         if len(self.shape) == 1:
             return Concat(*self.arrays)
         return self.arrays[0] if len(self.arrays) == 1 else self
@@ -136,7 +136,7 @@ class Hstack(_Parts, init=False):
 class Vstack(_Parts, init=False):
     """Arrays on top of each other: joined along the first axis, a vector or scalar being one row.
 
-    Shapes: (j, n), (k, n) -> (j + k, n); (n,), (n,) -> (2, n). Takes the arrays in a list or one by one.
+    Shapes: (j, n), (k, n) -> (j + k, n); (n,), (n,) -> (2, n). The arrays are passed in a list or one by one.
 
     Attributes:
         arrays: one or more expressions that agree in all axes but the first.
@@ -157,7 +157,7 @@ class Vstack(_Parts, init=False):
         return jnp.vstack(values)
 
     def simplify(self) -> Expr:
-        """Of vectors it is Stack, of matrices Concat."""
+        """For vectors it is Stack, for matrices Concat."""
         ranks = {len(array.shape) for array in self.arrays}
         if ranks <= {1}:
             return Stack(*self.arrays)
@@ -181,13 +181,13 @@ def _joined(node: Expr, shapes: Sequence[Shape], axis: int) -> Shape:
 
 
 class Block(Expr):
-    """A matrix of blocks: `Block([[A, B], [C, D]])`. Scalars are 1x1 blocks, vectors are rows.
+    """A block matrix: `Block([[A, B], [C, D]])`. Scalars are 1x1 blocks, vectors are rows.
 
     Blocks with more than two axes are joined along the first two. A flat list is one row of blocks.
 
     Attributes:
         entries: all blocks, row by row.
-        columns: blocks in a row.
+        columns: the number of blocks in a row.
     Raises:
         ShapeError: heights within a row, widths within a column, or further axes differ.
         ModelError: no blocks, or rows with different numbers of blocks.
@@ -322,7 +322,7 @@ class Index(Expr):
         return bool((positions((4, 4), self.index) == _ROTATION_BLOCK).all())
 
     def simplify(self) -> Expr:
-        """Everything of x is x; a part of stacked or joined rows is that row; a part of a part is one part."""
+        """The full index of x is x; an index into stacked or joined rows is that row; nested indices are combined."""
         base, index = self.base, self.index
         if self.shape == base.shape and (positions(base.shape, index) == positions(base.shape, ...)).all():
             return base

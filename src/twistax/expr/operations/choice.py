@@ -1,4 +1,4 @@
-"""Choices: maximum and minimum, predicates, entries by a condition, and branches."""
+"""Choices: maximum and minimum, predicates, selection by a condition, and branches."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _CASES = r"\begin{cases} <1> & <0> \\ <2> & \text{otherwise} \end{cases}"
 
 
 class Extremum(Chained, init=False):
-    """Base of Max, Min and their smooth relative."""
+    """Base class of Max, Min and LogSumExp."""
 
     operands: Operands
     kinds: ClassVar[rules.Rule | None] = rules.ALIKE
@@ -40,7 +40,7 @@ class Extremum(Chained, init=False):
     idempotent: ClassVar[bool] = True
 
     def simplify(self) -> Expr:
-        """Constants fold into one, equal operands count once. Nested ones are flattened before."""
+        """Constants are folded into one, and equal operands count once. Nested ones are already flattened."""
         constants = [o.value for o in self.operands if isinstance(o, Constant)]
         rest = [o for o in self.operands if not isinstance(o, Constant)]
         if self.idempotent:
@@ -111,7 +111,7 @@ def _predicate(node: str, value: Anything) -> Expr:
 
 
 class Reduction(Variadic, init=False):
-    """Base of All and Any: one truth value from the entries of one or more predicates."""
+    """Base class of All and Any: one truth value from the entries of one or more predicates."""
 
     predicates: Operands
     kinds = rules.OPEN
@@ -143,7 +143,7 @@ class Reduction(Variadic, init=False):
         return functools.reduce(type(self).combine, [type(self).reduce(value) for value in values])
 
     def simplify(self) -> Expr:
-        """Constants without effect vanish, a deciding constant is the result. Nested ones are flattened before."""
+        """Constants without effect vanish; a deciding constant is the result. Nested ones are already flattened."""
         kept: list[Expr] = []
         for predicate in self.predicates:
             if not isinstance(predicate, Constant):
@@ -156,7 +156,7 @@ class Reduction(Variadic, init=False):
 
 
 class All(Reduction, init=False):
-    """True if every entry of every predicate is true; shape (). Takes constraints one by one or in a list.
+    """True if every entry of every predicate is true; shape (). Predicates are passed one by one or in a list.
 
     Attributes:
         predicates: conditions (lhs <= rhs, lhs < rhs, lhs == rhs), All, Any or Not.
@@ -171,9 +171,9 @@ class All(Reduction, init=False):
 
 
 class Any(Reduction, init=False):
-    """True if at least one entry of one predicate is true; shape (). Takes constraints one by one or in a list.
+    """True if at least one entry of one predicate is true; shape (). Predicates are passed one by one or in a list.
 
-    Attributes, Raises: as of `All`.
+    Attributes, Raises: as for `All`.
     """
 
     reduce = jnp.any
@@ -265,8 +265,8 @@ class Cond(Expr):
     """The true branch if the predicate is true, else the false branch; only the selected branch is evaluated.
 
     So a branch may be undefined where it is not selected: neither its value nor its derivative is computed. Under
-    `jax.vmap` with a batched predicate both are evaluated, as by Where. For branches of a few
-    operations Where is faster. The branches broadcast against each other.
+    `jax.vmap` with a batched predicate both are evaluated, as in Where. For branches of a few operations Where is
+    faster. The branches broadcast against each other.
 
     Attributes:
         predicate: a scalar comparison, All, Any, Not, or a list of conditions that must all hold.
@@ -295,7 +295,7 @@ class Cond(Expr):
         if shapes[0] != ():
             raise ShapeError(
                 f"Cond expects predicate with shape (), got {shapes[0]}",
-                hint="tx.All or tx.Any makes one truth value of it; tx.Where chooses entry by entry",
+                hint="use tx.All or tx.Any for a single truth value, or tx.Where to select entry by entry",
             )
         return broadcast(self, *shapes[1:])
 

@@ -1,4 +1,4 @@
-"""Comparisons and constraints: what `<`, `<=`, `==` and their like build."""
+"""Comparisons and constraints, which the operators `<`, `<=`, `==` and others build."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from ..node import Expr
 
 
 class Comparison(Entrywise):
-    """A relation between two expressions, entry by entry. Its value is boolean: which entries hold.
+    """A relation between two expressions, entry by entry. Its value is boolean: whether each entry holds.
 
-    It is computed as it is written, on every path: at a tie x <= y holds and x < y does not, and where a side is NaN
-    none holds. It has no truth value before it is evaluated.
+    It is evaluated exactly as written: at a tie, x <= y holds and x < y does not; if a side is NaN, neither holds. It
+    has no truth value before it is evaluated.
 
     Attributes:
         lhs, rhs: both sides, of broadcastable shapes.
@@ -87,9 +87,8 @@ class Inequality(Constraint):
 class Complementarity(Inequality):
     """lhs <= rhs, entry by entry: a product of two quantities that are not negative, at most a relaxation.
 
-    In a `tx.trajectory.Problem` it relates the controls of an interval to the states at the end of it, as a time step
-    by the backward Euler method does, and `solve` lowers the relaxation step by step. `tx.trajectory.Contact` makes
-    it.
+    In a `tx.trajectory.Problem`, it relates the controls of an interval to the states at its end, as a backward Euler
+    step does, and `solve` lowers the relaxation successively. `tx.trajectory.Contact` builds it.
 
     Attributes:
         lhs: the product.
@@ -112,25 +111,28 @@ class Equality(Constraint):
 
 
 class ConstraintSet(abc.ABC):
-    """Constraints that belong together, such as those of a contact. A system takes it in place of one constraint."""
+    """Constraints that belong together, such as those of a contact. A system accepts it in place of a single
+    constraint.
+    """
 
     @abc.abstractmethod
     def named(self) -> dict[str, Any]:
-        """The constraints, by names that follow the name of the set."""
+        """The constraints, with names that begin with the name of the set."""
 
 
 def refuse_conditions(what: str, constraint: Any) -> None:
-    """Raise the plain sentence for a condition that stands where an optimiser wants a constraint.
+    """Raise an error for a condition where an optimiser requires a constraint.
 
     Raises: ModelError.
     """
     if isinstance(constraint, Less):
         raise ModelError(
-            f"{what} cannot hold {constraint!r}: the set where a strict comparison holds is open, and has no minimum.\n"
-            f"  fix: {Inequality(constraint.lhs, constraint.rhs)!r}; to keep away from the bound, move it by a margin"
+            f"{what} expects a constraint, got the strict comparison {constraint!r}, whose feasible set is open.\n"
+            f"  fix: use {Inequality(constraint.lhs, constraint.rhs)!r}; to keep away from the bound, move "
+            "it by a margin"
         )
     if isinstance(constraint, Expr) and constraint.boolean and not isinstance(constraint, Constraint):
         raise ModelError(
             f"{what} expects constraints, a <= b or a == b, got the condition {constraint!r}.\n"
-            "  fix: constraints that must all hold come in a list"
+            "  fix: pass constraints that must all hold in a list"
         )

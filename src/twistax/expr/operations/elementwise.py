@@ -1,4 +1,4 @@
-"""Functions applied entry by entry. Angles are in rad."""
+"""Elementwise functions. Angles are in rad."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _NOT_ZERO, _ZERO = {"operand": [1.0, -2.0, 0.5]}, {"operand": [0.0]}
 
 
 class ElementwiseFunction(Entrywise):
-    """Base of the functions of one operand, each of them given by a function of arrays."""
+    """Base class of functions of one operand, each defined by a function of arrays."""
 
     operand: Operand
     abstract = True
@@ -35,7 +35,7 @@ class ElementwiseFunction(Entrywise):
 
 
 def square_root(x: jax.Array) -> jax.Array:
-    """sqrt(x) with derivative 0 at x = 0, where the true one is infinite; NaN below."""
+    """sqrt(x) with derivative 0 at x = 0, where the true derivative is infinite; NaN for negative x."""
     zero = x == 0.0
     return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, x)))
 
@@ -73,7 +73,7 @@ class Sqrt(ElementwiseFunction):
 
 
 class Exp(ElementwiseFunction):
-    """Exponential $e^x$, entry by entry; x without unit. Of a twist: `tx.lie.SE3Exp`."""
+    """Exponential $e^x$, entry by entry; x has no unit. For a twist use `tx.lie.SE3Exp`."""
 
     kinds = rules.NUMBERS
     function = jnp.exp
@@ -85,7 +85,7 @@ class Exp(ElementwiseFunction):
 
 
 class Log(ElementwiseFunction):
-    """Natural logarithm log(x), entry by entry; x > 0 without unit. Of a pose: `tx.lie.SE3Log`."""
+    """Natural logarithm log(x), entry by entry; x > 0 has no unit. For a pose use `tx.lie.SE3Log`."""
 
     kinds = rules.NUMBERS
     function = jnp.log
@@ -108,7 +108,7 @@ class Abs(ElementwiseFunction):
     kinks = (_ZERO,)
 
     def simplify(self) -> Expr:
-        """The absolute value, square or root of something is not negative already."""
+        """The absolute value of a square, a root or an absolute value is that value."""
         return self.operand if isinstance(self.operand, (Abs, Square, Sqrt, Exp)) else super().simplify()
 
 
@@ -194,7 +194,7 @@ class Atan(ElementwiseFunction):
 class Atan2(Entrywise):
     """Angle of the point (x, y) in rad, entry by entry with broadcasting, in [-pi, pi].
 
-    At the origin, whatever the signs of its zeros, the value is 0 and the derivative is taken as 0.
+    At the origin, for all signs of its zeros, the value is 0 and the derivative is taken as 0.
 
     Attributes:
         y, x: the coordinates, in one unit.
@@ -277,7 +277,7 @@ class Huber(Entrywise):
 class SmoothReLU(Entrywise):
     """$sqrt(max(x, 0)^2 + c^2) - c$, entry by entry: a smooth approximation of max(x, 0).
 
-    Computed as $p^2 / (sqrt(p^2 + c^2) + c)$, $p = max(x, 0)$, without cancellation for small x. Values are scaled
+    Computed as $p^2 / (sqrt(p^2 + c^2) + c)$ with $p = max(x, 0)$, without cancellation for small x. Values are scaled
     before they are squared, so that they do not overflow.
 
     Attributes:

@@ -1,4 +1,4 @@
-"""Indices as plain data: read, printed, and turned into the places that they choose."""
+"""Indices as plain data: parsing, printing, and conversion to positions."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def _whole(index: Any) -> int:
     if isinstance(index, Expr):
         raise OperationError(
             f"an index is fixed when the expression is built; {index!r} is an expression.\n"
-            "  fix: choose entries at run time with tx.Where, or look values up with tx.Linterp"
+            "  fix: select entries at run time with tx.Where, or look up values with tx.Linterp"
         )
     if isinstance(index, (bool, np.bool_)):
         raise OperationError(f"Index expects whole numbers, got a truth value: {index}")
@@ -41,7 +41,7 @@ def _whole(index: Any) -> int:
 
 
 def index_text(index: Any) -> str:
-    """The index as one would type it between brackets."""
+    """The text of the index between brackets."""
     if isinstance(index, tuple):
         return ", ".join(map(index_text, index)) if index else "()"
     if isinstance(index, slice):
@@ -53,7 +53,7 @@ def index_text(index: Any) -> str:
 
 
 def plain_index(index: Any, shape: Shape) -> Any:
-    """One way of writing an index of whole numbers and slices: none negative, starts and stops in full."""
+    """A canonical form of an index of whole numbers and slices, without negative or missing numbers."""
     parts = index if isinstance(index, tuple) else (index,)
     if not all(isinstance(part, (int, slice)) for part in parts):
         return index
@@ -62,7 +62,7 @@ def plain_index(index: Any, shape: Shape) -> Any:
 
 
 def positions(shape: Shape, index: Any) -> Any:
-    """Where the chosen entries stand in the flattened array."""
+    """The positions of the selected entries in the flattened array."""
     return np.arange(int(np.prod(shape))).reshape(shape)[index]
 
 

@@ -1,4 +1,4 @@
-"""Conditions as numbers that become zero where they begin or cease to hold."""
+"""Conditions as numbers that cross zero where the truth value changes."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from .comparisons import Inequality, Less
 
 
 def margin(what: str, condition: Expr) -> Expr:
-    """A number that is negative where a condition of shape () holds, positive where it does not.
+    """A number that is negative if a condition of shape () holds, and positive if it does not.
 
-    Of a <= b and a < b it is a - b; of all conditions the largest of theirs, of any the smallest, of not the negative.
+    For a <= b and a < b it is a - b; for All the largest margin of the operands, for Any the smallest, for Not the
+    negative.
 
     Raises:
-        ModelError: of a part that is no comparison by < or <=, whose truth no sign tells.
+        ModelError: a part that is not a comparison by < or <=, so that its truth is not determined by a sign.
     """
     if isinstance(condition, (Less, Inequality)):
         return condition.lhs - condition.rhs

@@ -1,4 +1,4 @@
-"""The entries of an array in another shape."""
+"""Reshaping of arrays."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..node import Expr, Numbers, Shape
 class Reshaped(Expr):
     """The entries of an array, row by row, in another shape.
 
-    Shapes: any with as many entries -> `target`.
+    Shapes: any with the same number of entries -> `target`.
 
     Attributes:
         target: the shape of the result.

@@ -1,4 +1,4 @@
-"""Constraints that may be violated at a price."""
+"""Soft constraints, which may be violated at a penalty."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from .comparisons import Constraint, ConstraintSet, refuse_conditions
 class Soft:
     r"""A constraint that a trajectory may violate at a penalty.
 
-    With $r$ = lhs - rhs the violation is s = max(r, 0) of an inequality and s = |r| of an equality, entry by entry. The
-    objective to minimise is increased by $\sum l_1 s + l_2 s^2$; along the path by the integral of that over time. Use
-    it like a constraint: in the `constraints` of a `System`, and in `initial`, `final` and `at` of a problem.
+    With $r$ = lhs - rhs, the violation is s = max(r, 0) for an inequality and s = |r| for an equality, entry by entry.
+    The penalty $\sum l_1 s + l_2 s^2$ is added to the objective to minimise; along the path, its integral over time.
+    Use it like a constraint: in the `constraints` of a `System`, and in `initial`, `final` and `at` of a problem.
 
-    If `l1` is larger than the multiplier of the hard constraint, the optimum is unchanged (an exact penalty).
-    With `l2` alone an active constraint is always violated, by half the multiplier over `l2`.
+    If `l1` is larger than the multiplier of the hard constraint, the optimum is unchanged (an exact penalty). With `l2`
+    alone, an active constraint is always violated, by the multiplier divided by 2 `l2`.
     Source: Nocedal and Wright, Numerical Optimization (2006), (17.22) and Theorem 17.3.
 
     Example: `tx.System(rates={p: v, v: u}, constraints={"speed": tx.Soft(v <= 0.8, l1=100.0)})`.
 
     Attributes:
         constraint: of any shape.
-        l1, l2: the weights, expressions: scalars or of the shape of the constraint, not negative; None for no
-            weight. A weight that is a parameter can be changed by `params` of each solve.
+        l1, l2: the weights, expressions: scalars or of the shape of the constraint, not negative; None for no weight. A
+            weight that is a parameter can be changed by `params` of each solve.
 
     Raises:
         ModelError: the operand is not a constraint; there is no weight, or a negative one.
@@ -47,7 +47,7 @@ class Soft:
         if not isinstance(constraint, Constraint):
             raise ModelError(f"Soft expects a constraint, a <= b or a == b, got {type(constraint).__name__}")
         if l1 is None and l2 is None:
-            raise ModelError(f"Soft expects a weight, l1= or l2= or both, for {constraint!r}")
+            raise ModelError(f"Soft expects at least one weight, l1= or l2=, for {constraint!r}")
         object.__setattr__(self, "constraint", constraint)
         for name, weight in (("l1", l1), ("l2", l2)):
             object.__setattr__(self, name, None if weight is None else _weight(name, weight, constraint))
@@ -69,7 +69,7 @@ Asked: TypeAlias = Constraint | Soft | ConstraintSet
 
 
 def hard(constraint: Any) -> Any:
-    """The constraint without its price."""
+    """The constraint without its penalty."""
     return constraint.constraint if isinstance(constraint, Soft) else constraint
 
 

@@ -1,1 +1,1 @@
-"""How expressions print: text, LaTeX, MathML, SVG."""
+"""Printing of expressions: text, LaTeX, MathML, SVG."""

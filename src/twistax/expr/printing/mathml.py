@@ -1,4 +1,4 @@
-"""The LaTeX that expressions print as MathML, which browsers draw by themselves: notebooks need no MathJax for it.
+"""Conversion of the LaTeX of expressions to MathML, which browsers display without MathJax.
 
 Source: MathML Core, https://www.w3.org/TR/mathml-core/.
 """
@@ -52,9 +52,9 @@ class _Part:
 
 
 def mathml(latex: str) -> str:
-    """A formula as an element <math>. Commands that are not known stand as they are.
+    """A formula as a <math> element. Unknown commands are copied unchanged.
 
-    So does a whole formula whose groups, fences or tables do not close, as a user's own node may write it.
+    A formula with unbalanced groups, fences or tables, for example from a user's node, is copied unchanged as a whole.
     """
     try:
         inside = _drawn(latex)

@@ -1,4 +1,4 @@
-"""Graphs of nodes as a picture in SVG. Shared parts are drawn once, with a line from each place that reads them."""
+"""Expression graphs as SVG pictures. Shared parts are drawn once, with a line from each place that reads them."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ _BOX, _ROW, _CHARACTER, _GAP = 36, 64, 7.2, 16.0
 
 
 class Picture(str):
-    """The text of an SVG file. Notebooks show it; `path.write_text(picture)` keeps it."""
+    """The text of an SVG file. Notebooks display it; `path.write_text(picture)` saves it."""
 
     def _repr_svg_(self) -> str:
         return str(self)
 
 
 def svg(roots: Mapping[str, Node]) -> Picture:
-    """The graphs from their roots down, each root with its name; see `Expr.svg` and `System.svg`."""
+    """The graphs below roots, each root with its name; see `Expr.svg` and `System.svg`."""
     nodes = postorder(*roots.values())
     if len(nodes) > _MOST:
         raise ModelError(
-            f"svg: {len(nodes):,} nodes are too many for a picture, {_MOST} is the largest number.\n  fix: tree()"
+            f"svg: {len(nodes):,} nodes are too many for a picture, at most {_MOST} are drawn.\n  fix: use tree()"
         )
     depth = {id(root): 0 for root in roots.values()}
     for node in reversed(nodes):  # parents before children

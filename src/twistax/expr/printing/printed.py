@@ -1,4 +1,4 @@
-"""How a node prints: in one line, in LaTeX, as a tree and as a picture."""
+"""The printed forms of a node: one line of text, LaTeX, a tree and a picture."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .text import render, tree, wrap_latex
 
 
 class Printed:
-    """Base of nodes: what they print."""
+    """Base class of nodes: their printed forms."""
 
     #: Name used in repr, trees and messages; the class name unless a node says otherwise.
     label: ClassVar[str] = "Expr"
@@ -29,13 +29,13 @@ class Printed:
         return [f"{f.name}={getattr(self, f.name)!r}" for f in self._fields if f.shown(getattr(self, f.name))]
 
     def to_text(self: Any, *operands: str) -> str:
-        """One-line text from the operands' texts."""
+        """The text of the node in one line, from the operands' texts."""
         if self.infix:
             return f"({f' {self.infix} '.join(operands)})"
         return f"{self.label}({', '.join([*operands, *self.details()])})"
 
     def to_latex(self: Any, *operands: str) -> str:
-        """LaTeX from the operands' LaTeX."""
+        """The LaTeX of the node, from the operands' LaTeX."""
         if self.formula:
             children = self.children()
             return re.sub(
@@ -64,7 +64,7 @@ class Printed:
         return tree(self)
 
     def svg(self: Any) -> Picture:
-        """The graph as a picture, the text of an SVG file, which notebooks show; shared parts are drawn once.
+        """The graph as a picture, the text of an SVG file, which notebooks display; shared parts are drawn once.
 
         Raises: ModelError for more than 300 nodes.
         """

@@ -1,4 +1,4 @@
-"""How expressions print: one line of text, LaTeX, and the tree. Shared parts of big graphs are shown once."""
+"""The text, LaTeX and tree of expressions. Shared parts of large graphs are shown once."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ _DEEPEST, _MOST_LINES = 60, 2000
 
 
 def wrap(node: Node, text: str, level: int) -> str:
-    """Parentheses around an operand that binds weaker than its place demands."""
+    """Parentheses around an operand that binds more weakly than its position requires."""
     return text if node.precedence >= level else f"({text})"
 
 
 def wrap_latex(node: Node, text: str, level: int) -> str:
-    """As `wrap`, with growing parentheses, and around negative numbers that are no terms of a sum."""
+    """As `wrap`, with growing parentheses, also around negative numbers that are not terms of a sum."""
     plain = node.precedence >= level and not (text.startswith("-") and level > 10)
     return text if plain else rf"\left({text}\right)"
 
 
 def number_latex(value: Any, digits: int = 6) -> str:
-    """A number as one writes it by hand."""
+    """A number in the usual notation."""
     if isinstance(value, (bool, np.bool_)):
         return r"\top" if value else r"\bot"
     text = f"{value:.{digits}g}".replace("inf", r"\infty").replace("nan", r"\mathrm{nan}")
@@ -40,7 +40,7 @@ def number_latex(value: Any, digits: int = 6) -> str:
 
 
 def name_latex(name: str) -> str:
-    """A name; what follows its first underscore is an index."""
+    """A name; the part after its first underscore is a subscript."""
     head, _, tail = name.partition("_")
     symbol = head if len(head) == 1 else rf"\mathrm{{{head}}}"
     tail = tail.replace("_", r"\_")
@@ -54,7 +54,7 @@ def matrix_latex(rows: Sequence[Sequence[str]]) -> str:
 
 
 def render(root: Node, method: str, ellipsis: str) -> str:
-    """What a method of the nodes, `to_text` or `to_latex`, makes of a graph."""
+    """The text or LaTeX of a graph, by the method `to_text` or `to_latex` of its nodes."""
     sizes: dict[int, int] = {}  # how many nodes each subtree prints, shared parts counted every time
     done: dict[int, str] = {}
     for node in postorder(root):
@@ -67,7 +67,7 @@ def render(root: Node, method: str, ellipsis: str) -> str:
 
 
 def tree(root: Node) -> str:
-    """A line a node with its shape; a part met before is shown as a reference to where it stands."""
+    """A line for each node with its shape; a repeated part is shown as a reference to its first occurrence."""
     lines: list[str] = []
     numbers: dict[int, int] = {}
     stack: list[tuple[Node, str, str, str]] = [(root, "", "", "")]

@@ -1,4 +1,4 @@
-"""How `tx.Interp` reads a table: between its points, and outside."""
+"""Options of `tx.Interp`: the interpolation between points, and the extrapolation."""
 
 from .kinds import BSpline, Clamped, Extrapolated, Linear, MonotoneCubic, Refused
 

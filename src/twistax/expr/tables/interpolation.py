@@ -1,4 +1,6 @@
-"""Tables: interpolation of numbers over any axes, and of tables that change between runs over one and two."""
+"""Tables: interpolation of numbers over any number of axes, and of tables that change between runs over one or two
+axes.
+"""
 
 from __future__ import annotations
 
@@ -26,20 +28,22 @@ class Interp(Variadic, init=False):
     """Interpolation of a table of numbers over a grid of any number of axes, entry by entry.
 
     Shapes: d coordinates that broadcast to s, axes of n_1, ..., n_d points, values (n_1, ..., n_d, *k) -> (*s, *k).
-    Values are loaded from constant arrays, in kernels, in C and in CasADi too. The cost grows with the number of axes,
-    $2^d$ loads for linear and $4^d$ for cubic interpolation, and hardly with the number of points. An axis with
-    approximately equal steps is searched by a product, another one by bisection.
+    Values are loaded from constant arrays, also in kernels, in C and in CasADi. The cost grows with the number of axes,
+    $2^d$ loads for linear and $4^d$ for cubic interpolation, and hardly with the number of points. The interval on an
+    axis with approximately equal steps is found by a multiplication, on another one by bisection.
 
     Attributes:
         at: the coordinates, one or more, in the units of their axes.
         axes: the points of each axis, strictly increasing numbers; a single axis need not be in a list.
-        values: values[i, j, ...] is the value at (axes[0][i], axes[1][j], ...); numbers, their unit is the result's.
+        values: values[i, j, ...] is the value at (axes[0][i], axes[1][j], ...); numbers, whose unit is that of the
+            result.
         kind: `tx.tables.Linear()`, `MonotoneCubic()` of one axis, or `BSpline()`.
-        outside: `tx.tables.Clamped()`, `Extrapolated()` or `Refused()`, NaN; or a list of one for each axis.
+        outside: the extrapolation: `tx.tables.Clamped()`, `Extrapolated()`, or `Refused()`, which gives NaN; or a list
+            of one for each axis.
     Raises:
         ShapeError: the coordinates do not broadcast.
-        ModelError: an axis that does not increase or has too few points, values of another shape, a table that is an
-            expression or not finite, another kind, or `MonotoneCubic()` with more than one axis.
+        ModelError: an axis that does not increase or has too few points; values of another shape; a table that is an
+            expression or not finite; another kind; `MonotoneCubic()` with more than one axis.
     """
 
     at: Operands
@@ -179,7 +183,7 @@ class Linterp(_OnGrid):
     Attributes:
         x: the coordinate, in the unit of xp.
         xp: breakpoints, strictly increasing, two or more.
-        fp: values at the breakpoints; their unit is the result's. May be a Parameter, like xp.
+        fp: values at the breakpoints; their unit is that of the result. Like xp, it may be a Parameter.
     Raises:
         ShapeError: xp is not a vector, or fp has another length.
         ModelError: xp is constant and does not increase.
@@ -203,7 +207,8 @@ class Linterp(_OnGrid):
 
 
 class Cinterp(Expr):
-    """Piecewise cubic interpolation of a fixed table (xp, fp) at x. Outside the table the end cubics are continued.
+    """Piecewise cubic interpolation of a fixed table (xp, fp) at x. Outside of the table the outermost cubics are
+    continued.
 
     Shapes: x of any shape s, xp (n,), fp (n, *k) -> (*s, *k). In interval i the value is
     $c_0i + c_1i t + c_2i t^2 + c_3i t^3$ with $t = x - xp_i$.
@@ -211,11 +216,12 @@ class Cinterp(Expr):
     Attributes:
         x: the coordinate, in the unit of xp.
         xp, fp: the table, numbers; xp strictly increasing.
-        method: "cubic" (not-a-knot spline, two continuous derivatives), "pchip" (keeps monotone data monotone) or
-            "akima" (little overshoot); the latter two have one continuous derivative.
+        method: "cubic" (not-a-knot spline, two continuous derivatives), "pchip" (preserves monotonicity) or "akima"
+            (little overshoot); the latter two have one continuous derivative.
         coeffs: c, shape (4, n - 1, *k).
     Raises:
-        ModelError: an unknown method, a table that is an expression, has shapes that do not match or does not increase.
+        ModelError: an unknown method; a table that is an expression, whose shapes do not match, or that does not
+            increase.
     Source: SciPy's `CubicSpline`, `PchipInterpolator` and `Akima1DInterpolator` compute c.
     """
 
@@ -289,7 +295,7 @@ class Bilerp(_OnGrid):
     Attributes:
         x, y: the coordinates, in the units of xp and yp.
         xp, yp: grid lines, strictly increasing, two or more.
-        fp: fp[i, j] is the value at (xp[i], yp[j]); its unit is the result's.
+        fp: fp[i, j] is the value at (xp[i], yp[j]); its unit is that of the result.
     Raises:
         ShapeError: xp or yp is not a vector, fp is not (n, m), or x and y do not broadcast.
         ModelError: xp or yp is constant and does not increase.
@@ -330,6 +336,7 @@ def _numbers(node: str, name: str, value: Any) -> np.ndarray:
     if isinstance(value, Expr) and not isinstance(value, Constant):
         raise ModelError(
             f"{node} expects {name} to be numbers, got the expression {value!r}.\n"
-            "  fix: its table is made when it is built; tx.Linterp and tx.Bilerp take one that changes between runs"
+            "  fix: its table is fixed at construction; for a table that changes between runs use "
+            "tx.Linterp or tx.Bilerp"
         )
     return (value if isinstance(value, Constant) else Constant(value)).value

@@ -1,7 +1,8 @@
-"""How a table is read: the interval of each axis, the polynomials in it, and what is done outside.
+"""Kinds of table lookup: the interval of each axis, the interpolating polynomials, and the extrapolation.
 
-The intervals are found by loads from constants: an even axis gives a first guess of the interval by a product, others
-take as many steps as their length has bits. So the cost grows with the axes and hardly with the points.
+Intervals are found by loads from constant arrays: for an even axis, a multiplication gives a first guess of the
+interval; other axes take as many bisection steps as the number of points has bits. So the cost grows with the number of
+axes and hardly with the number of points.
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ class GridAxis:
         self._even = bool((np.abs(points - ideal) * self._density < 0.25).all())
 
     def interval(self, x: jax.Array) -> jax.Array:
-        """The number of the interval of x, that on the right of a breakpoint; the outer ones have no end."""
+        """The index of the interval of x, that on the right of a breakpoint; the outermost intervals are unbounded."""
         count = len(self.points) - 2
         place = jnp.zeros(x.shape, jnp.int32)
         if not count:
@@ -67,12 +68,12 @@ class GridAxis:
         return place + (x >= _load(self._inner, place, x.dtype)).astype(jnp.int32)
 
     def fraction(self, x: jax.Array, i: jax.Array) -> jax.Array:
-        """How far x has come from breakpoint i to the next: exactly 0 and 1 there."""
+        """The fraction of the distance from breakpoint i to the next: exactly 0 and 1 at these."""
         start, end = (_load(self._table, i, x.dtype, k) for k in (0, 1))
         return (x - start) / (end - start)
 
     def beyond(self, x: jax.Array, i: jax.Array) -> jax.Array:
-        """x less breakpoint i."""
+        """x minus breakpoint i."""
         return x - _load(self._table, i, x.dtype)
 
 
@@ -112,7 +113,7 @@ def _at(starts: Sequence[jax.Array], shape: tuple[int, ...]) -> jax.Array:
 
 
 def linear(axes: Sequence[np.ndarray], values: np.ndarray) -> Lookup:
-    """Linear along each axis; the end lines are continued."""
+    """Linear along each axis; the outermost lines are continued."""
     lines, table = [GridAxis(points) for points in axes], _table(values)
 
     def lookup(xs: Sequence[jax.Array]) -> jax.Array:
@@ -124,7 +125,9 @@ def linear(axes: Sequence[np.ndarray], values: np.ndarray) -> Lookup:
 
 
 def pieces(points: np.ndarray, coefficients: np.ndarray) -> Lookup:
-    """Polynomials by rising power, (p, n - 1, *k), of x less the breakpoint on its left; the end ones are continued."""
+    """Polynomials by rising power, (p, n - 1, *k), of x minus the breakpoint on its left; the outermost ones are
+    continued.
+    """
     axis, ordered = GridAxis(points), np.moveaxis(coefficients, 0, 1)
     table, rest = _table(ordered), coefficients.shape[2:]
     powers, size = len(coefficients), math.prod(rest)
@@ -158,7 +161,7 @@ class _Basis:
         self._axis, self._table, self._last = GridAxis(points), _table(rows), count - 4
 
     def at(self, x: jax.Array) -> tuple[jax.Array, list[jax.Array]]:
-        """The number of the first of them, and their values."""
+        """The index of the first of them, and their values."""
         # The second and the last point but one are no knots.
         start = jnp.clip(self._axis.interval(x) - 1, 0, self._last)
         left, right, down, up, *coefficients = (_load(self._table, 8 * start, x.dtype, k) for k in range(8))
@@ -169,7 +172,7 @@ class _Basis:
 
 
 def spline(axes: Sequence[np.ndarray], values: np.ndarray) -> Lookup:
-    """Cubic with two continuous derivatives; the end polynomials are continued."""
+    """Cubic with two continuous derivatives; the outermost polynomials are continued."""
     from scipy.interpolate import CubicSpline, make_interp_spline
 
     if len(axes) == 1:
@@ -193,7 +196,7 @@ def spline(axes: Sequence[np.ndarray], values: np.ndarray) -> Lookup:
 
 @dataclasses.dataclass(frozen=True)
 class Linear:
-    """Linear along each axis: continuous. The derivative at a breakpoint is the slope on its right."""
+    """Linear interpolation along each axis: continuous. The derivative at a breakpoint is the slope on its right."""
 
     fewest = 2
 
@@ -203,10 +206,10 @@ class Linear:
 
 @dataclasses.dataclass(frozen=True)
 class MonotoneCubic:
-    """Cubic with one continuous derivative, monotone wherever the data is, for one axis.
+    """Cubic interpolation along one axis with one continuous derivative, monotone wherever the data are.
 
-    It does not extend to several axes: its slopes are not linear in the values, so a tensor product would
-    depend on the order of the axes, and would not be monotone.
+    It does not extend to several axes: its slopes are not linear in the values, so a tensor product would depend on the
+    order of the axes, and would not be monotone.
 
     Source: F. Fritsch, J. Butland, A method for constructing local monotone piecewise cubic interpolants (1984), the
     weighted harmonic means of SciPy's `PchipInterpolator`, which computes the coefficients.
@@ -219,8 +222,9 @@ class MonotoneCubic:
 
         if len(axes) > 1:
             raise ModelError(
-                f"MonotoneCubic interpolates along one axis, got {len(axes)}: a product of such curves depends on "
-                "which axis comes first and is not monotone.\n  fix: tx.tables.Linear() or tx.tables.BSpline()"
+                f"MonotoneCubic interpolates along one axis, got {len(axes)}: a tensor product would "
+                "depend on the order of the axes, and would not be monotone.\n"
+                "  fix: tx.tables.Linear() or tx.tables.BSpline()"
             )
         try:
             with np.errstate(all="ignore"):
@@ -231,14 +235,15 @@ class MonotoneCubic:
             raise ModelError(
                 "MonotoneCubic expects values whose differences and slopes are finite numbers, got values up to "
                 f"{np.max(np.abs(values)):.3g} on points as near as {np.min(np.diff(axes[0])):.3g}.\n"
-                "  fix: give values and points in larger units"
+                "  fix: pass values and points in larger units"
             )
         return pieces(axes[0], coefficients)
 
 
 @dataclasses.dataclass(frozen=True)
 class BSpline:
-    """Cubic with two continuous derivatives, a tensor product of not-a-knot splines: for optimisers.
+    """Cubic interpolation with two continuous derivatives, a tensor product of not-a-knot splines; useful for
+    optimisation.
 
     It interpolates all values, and may overshoot between them. Each axis needs at least four points.
 
@@ -258,7 +263,7 @@ class Clamped:
     """
 
     def taken(self, x: jax.Array, points: np.ndarray) -> jax.Array:
-        """The coordinate at which the table is read."""
+        """The coordinate at which the table is evaluated."""
         return jnp.clip(x, float(points[0]), float(points[-1]))
 
 
@@ -267,7 +272,7 @@ class Extrapolated:
     """Outside of the table the polynomials of the outermost intervals are continued."""
 
     def taken(self, x: jax.Array, points: np.ndarray) -> jax.Array:
-        """The coordinate at which the table is read."""
+        """The coordinate at which the table is evaluated."""
         return x
 
 
@@ -276,6 +281,6 @@ class Refused:
     """Outside of the table the value and the derivative are NaN, and an integration ends with an error."""
 
     def taken(self, x: jax.Array, points: np.ndarray) -> jax.Array:
-        """The coordinate at which the table is read."""
+        """The coordinate at which the table is evaluated."""
         # A factor: where(..., x, nan) would have the slope zero outside.
         return x * jnp.where((x >= float(points[0])) & (x <= float(points[-1])), 1.0, jnp.nan)

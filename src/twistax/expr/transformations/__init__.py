@@ -1,1 +1,1 @@
-"""What makes one expression of another: maps over batches, rates, structures without numbers."""
+"""Transformations of expressions: maps over batches, rates, structures without numbers."""

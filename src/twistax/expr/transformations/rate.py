@@ -1,4 +1,4 @@
-"""The rate of an expression along a motion: how fast its value changes as time runs and states move."""
+"""The rate of an expression along a motion: its time derivative as time and states change."""
 
 from __future__ import annotations
 
@@ -59,17 +59,17 @@ class Rate(Expr):
 
     Args:
         operand: the expression.
-        rates: of the states and controls that it depends on, by leaf or by name; others are ignored.
+        rates: rates of the states and controls that it depends on, by leaf or by name; others are ignored.
     Attributes:
         body: the operand, with placeholders for the leaves that have rates.
         placeholders: these leaves.
-        depth: the number of nested Rates.
+        depth: the nesting depth of Rates.
         along: the leaves that have rates, then their rates.
     Raises:
-        ModelError: the operand depends on a state or control without a rate, at once or after a substitution;
-            a substitution identifies two leaves whose rates differ; the operand, a rate or a substituted value is a
+        ModelError: the operand depends on a state or control without a rate, directly or after a substitution; a
+            substitution identifies two leaves whose rates differ; the operand, a rate or a substituted value is a
             condition.
-        ShapeError: a rate does not have the shape of its leaf, or of its body velocity, at once or after a
+        ShapeError: a rate does not have the shape of its leaf, or of its body velocity, directly or after a
             substitution; a substitution changes the shape of a leaf.
     Source: A. Griewank, A. Walther, Evaluating Derivatives (2008), chapter 3.
     """
@@ -107,7 +107,7 @@ class Rate(Expr):
         return cls.from_fields({"body": body, "placeholders": placeholders, "depth": depth, "along": along})
 
     def replace(self, **changes: Any) -> Rate:
-        raise OperationError(f"a Rate has no fields to replace, got {', '.join(changes)}.\n  fix: build another one")
+        raise OperationError(f"a Rate has no fields to replace, got {', '.join(changes)}.\n  fix: build another Rate")
 
     @property
     def _captured(self) -> list[Leaf]:
@@ -177,7 +177,7 @@ class Rate(Expr):
                 continue
             if rates.setdefault(leaf.key(), rate.key()) != rate.key():
                 raise ModelError(
-                    f"Rate: the substitution puts {leaf.name!r} in place of leaves whose rates differ.\n"
+                    f"Rate: the substitution replaces leaves with different rates by {leaf.name!r}.\n"
                     "  fix: substitute in the expression, then build its Rate"
                 )
             moving[leaf.key()] = placeholder
@@ -187,8 +187,8 @@ class Rate(Expr):
                 inside = isinstance(unknown[0], _Placeholder)
                 kind, name = "leaf" if inside else type(unknown[0]).__name__.lower(), unknown[0].name
                 raise ModelError(
-                    f"Rate: the substitution puts an expression of the {kind} {name!r}, whose rate is not known, in "
-                    f"place of {old.name!r}, which has no rate.\n"
+                    f"Rate: the substitution replaces {old.name!r}, which has no rate, by an expression of "
+                    f"the {kind} {name!r}, whose rate is not known.\n"
                     "  fix: substitute in the expression, then build its Rate with all rates"
                 )
         return moving
@@ -226,14 +226,18 @@ class Rate(Expr):
 
 
 def rates_by_name(rates: Mapping[Any, ExprLike]) -> dict[str, Expr]:
-    """The rates of states and controls by name. Raises ModelError for something else as a key, or no expression."""
+    """The rates of states and controls by name. Raises ModelError for another kind of key, or a value that is not an
+    expression.
+    """
     by_name: dict[str, Expr] = {}
     if not isinstance(rates, Mapping):
-        raise ModelError(f"rates are expressions by states, controls or their names, got {short(rates)}")
+        raise ModelError(
+            f"rates must be a dict from states, controls or their names to expressions, got {short(rates)}"
+        )
     for key, rate in rates.items():
         name = key if isinstance(key, str) else getattr(key, "name", None)
         if not isinstance(name, str) or not isinstance(key, (str, State, Control)):
-            raise ModelError(f"rates are known by states, controls or their names, got {key!r}")
+            raise ModelError(f"the keys of rates must be states, controls or their names, got {key!r}")
         by_name[name] = to_expr(rate)
     return by_name
 
@@ -258,7 +262,7 @@ def _moving(expr: Expr, rates: Mapping[str, Expr]) -> Iterator[tuple[Leaf, Expr]
             kind = type(leaf).__name__.lower()
             raise ModelError(
                 f"Rate: the expression depends on the {kind} {leaf.name!r}, whose rate is not known.\n"
-                f"  fix: rates={{{leaf.name!r}: its rate}}; zero for constant ones"
+                f"  fix: pass rates={{{leaf.name!r}: its rate}}, zero if it is constant"
             )
         rate, wanted = to_numbers("Rate", rates[leaf.name]), _rate_shape(leaf)
         if rate.shape != wanted:

@@ -1,4 +1,4 @@
-"""One expression over the elements of a batch."""
+"""Maps of an expression over the elements of a batch."""
 
 from __future__ import annotations
 
@@ -35,7 +35,9 @@ _program_of: contextvars.ContextVar[Callable[[Callable[..., Any]], Callable[...,
 
 @contextlib.contextmanager
 def elements_by(program: Callable[[Callable[..., Any]], Callable[..., Any]]) -> Iterator[None]:
-    """Within this, each batch of copies is a batch of the program that `program` makes of the function of one copy."""
+    """A context in which each batch of copies is a batch of the program that `program` makes from the function of one
+    copy.
+    """
     token = _program_of.set(program)
     try:
         yield
@@ -64,7 +66,7 @@ def _leaked(element: Placeholder) -> ModelError:
 
 
 def no_elements(leaves: Iterable[Leaf], but: Iterable[Placeholder] = ()) -> None:
-    """Raise ModelError if an element of a Vmap is among the leaves, other than the ones known."""
+    """Raise ModelError if an element of a Vmap is among the leaves, other than the known ones."""
     known = set(map(id, but))
     for leaf in leaves:
         if isinstance(leaf, Placeholder) and id(leaf) not in known:
@@ -74,21 +76,21 @@ def no_elements(leaves: Iterable[Leaf], but: Iterable[Placeholder] = ()) -> None
 class Vmap(Expr):
     """fn applied to every element of a batch: `Vmap(lambda p: Norm(x - p), batch=points)`.
 
-    Shapes: batches (n, *s), mapped over `axis`; fn takes an expression of shape s for each and returns one of shape r;
+    Shapes: batches (n, *s), mapped over `axis`; fn maps an expression of shape s, for each batch, to one of shape r;
     the result is (n, *r). fn is called once, when the expression is built; it may use any other leaf or expression.
 
     If fn returns a constraint the result is the constraint on all elements:
     `Vmap(lambda p: Norm(x - p) >= 1, points)` is `Vmap(lambda p: 1 - Norm(x - p), points) <= 0`.
 
     Attributes:
-        batches: the expressions or arrays mapped over; a list means several, one argument of fn each.
+        batches: the expressions or arrays to map over; a list means several batches, one for each argument of fn.
         axis: the axis mapped over, counted from 0.
         body: what fn returned.
         placeholders: the arguments fn was called with.
-        copies: whether the elements are systems, each large enough for a separate program; see `elements_by`.
+        copies: whether the elements are systems that are large enough for a separate program; see `elements_by`.
     Raises:
-        ShapeError: a batch without that axis, or batches of different length; a substitution that gives the elements
-            another shape.
+        ShapeError: a batch without that axis, or batches of different length; a substitution that changes the shape of
+            the elements.
         ModelError: no batch; a batch of conditions.
     """
 
@@ -131,7 +133,7 @@ class Vmap(Expr):
         """Everything is done by `__new__`, which for a constraint gives a constraint."""
 
     def replace(self, **changes: Any) -> Vmap:
-        raise OperationError(f"a Vmap has no fields to replace, got {', '.join(changes)}.\n  fix: build another one")
+        raise OperationError(f"a Vmap has no fields to replace, got {', '.join(changes)}.\n  fix: build another Vmap")
 
     @property
     def captured(self) -> list[Leaf]:
@@ -223,7 +225,7 @@ def _element_shapes(shapes: list[Shape], axis: int) -> list[Shape]:
         raise ModelError("Vmap expects at least one batch, got []")
     for i, shape in enumerate(shapes):
         if axis >= len(shape):
-            raise ShapeError(f"Vmap expects axis {axis} to be one of batch {i}, got shape {shape}")
+            raise ShapeError(f"Vmap expects batch {i} to have the axis {axis}, got shape {shape}")
         if shape[axis] != shapes[0][axis]:
             raise ShapeError(
                 f"Vmap expects batches of equal length along axis {axis}, "

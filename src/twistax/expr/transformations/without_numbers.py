@@ -1,7 +1,7 @@
-"""Expressions apart from their numbers: those that differ in numbers alone have one structure.
+"""Expressions without their numbers: expressions that differ only in numbers have one structure.
 
-The entries of a constant become those of a hidden parameter. What decides which operations there are stays: zeros, ones
-in front of factors, exponents, tables, conditions, and what a node has beside its operands.
+The entries of a constant become those of a hidden parameter. Numbers that determine the operations remain: zeros, unit
+factors, exponents, tables, conditions, and static fields of nodes.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ Token = Callable[[Leaf], Hashable]
 
 
 class Hidden(NamedTuple):
-    """A constant as a parameter.
+    """A constant that is represented by a parameter.
 
     Attributes:
         leaf: the parameter.
-        first: where its numbers begin among all.
-        free: (entries,) which entries are numbers of the vector.
-        value: of the constant.
+        first: the index of its first entry in the vector of all numbers.
+        free: (entries,) which entries are taken from the vector.
+        value: the value of the constant.
     """
 
     leaf: Parameter
@@ -54,7 +54,7 @@ class Hidden(NamedTuple):
     value: Array
 
     def read(self, numbers: Any) -> Any:
-        """Its value by the vector of all numbers."""
+        """Its value from the vector of all numbers."""
         entries = numbers[self.first : self.first + int(self.free.sum())]
         if self.free.all():
             return entries.reshape(self.value.shape)
@@ -65,15 +65,15 @@ class Hidden(NamedTuple):
 
 
 class Structure:
-    """Expressions as a key that holds no free numbers, and those numbers.
+    """A key of expressions that does not contain their free numbers, and these numbers.
 
     Args:
         roots: canonical expressions.
-        token: what a leaf counts as.
+        token: the token that represents a leaf in the key.
 
     Attributes:
-        key: equal for expressions that differ in numbers alone.
-        numbers: (n,) of these expressions.
+        key: equal for expressions that differ only in numbers.
+        numbers: (n,) the numbers of these expressions.
     """
 
     def __init__(self, roots: Sequence[Expr], token: Token) -> None:
@@ -107,7 +107,7 @@ class Structure:
         return [self._exchanged(None, k, root, done) for k, root in enumerate(self._roots)]
 
     def params(self, numbers: Any) -> dict[str, Any]:
-        """The values of those parameters by name, by the vector of all numbers."""
+        """The values of those parameters by name, from the vector of all numbers."""
         return {hidden.leaf.name: hidden.read(numbers) for hidden in self._hidden.values()}
 
     def _place(self, parent: Expr | None, k: int, child: Expr, places: Mapping[str, int]) -> Any:

@@ -1,6 +1,6 @@
 """SE_k(3): a rotation and vectors that move with it, such as attitude, velocity and position of a vehicle.
 
-Every formula is that of SE(3) for each vector: the rotation is shared, the vectors do not see one another.
+Every formula is that of SE(3) for each vector: the vectors share the rotation and do not affect one another.
 
 Source: Barrau, Bonnabel, The invariant extended Kalman filter as a stable observer, IEEE TAC 62 (2017), appendix A.
 """
@@ -42,11 +42,11 @@ class ExtendedPose(Group):
     position.
 
     An element is the matrix $[R, p_1, ..., p_k; 0, I]$ of shape (3 + k, 3 + k), with the matrix product; a tangent is
-    $[w; v_1; ...; v_k]$, (3 + 3 k,), the rotation first. So the rate of a state $[R, v, p]$ with body angular velocity
-    w is $[w; R^T v'; R^T p']$.
+    $[w; v_1; ...; v_k]$, (3 + 3 k,), the rotation first. So the rate of a state $[R, v, p]$ with the body angular
+    velocity w is $[w; R^T v'; R^T p']$.
 
     Attributes:
-        vectors: name and unit of each vector.
+        vectors: a pair (name, unit) for each vector.
     Raises: ModelError for vectors that are not a non-empty tuple of pairs of strings.
 
     Source: Barrau, Bonnabel, The invariant extended Kalman filter as a stable observer, IEEE TAC 62 (2017), appendix A.
@@ -67,7 +67,7 @@ class ExtendedPose(Group):
             isinstance(pair, tuple) and len(pair) == 2 and all(isinstance(text, str) for text in pair) for pair in pairs
         ):
             raise ModelError(
-                f"ExtendedPose expects (name, unit) of each vector, got {self.vectors!r}.\n"
+                f"ExtendedPose expects a pair (name, unit) for each vector, got {self.vectors!r}.\n"
                 '  fix: (("velocity", "m/s"), ("position", "m"))'
             )
 
@@ -92,7 +92,9 @@ class ExtendedPose(Group):
         return tuple(parts)
 
     def element(self, rotation: Input, *vectors: Input) -> Float[Array, "m m"]:
-        """The element of a rotation (3, 3) and the vectors (3,) each, in their order. Raises ShapeError."""
+        """The element with a rotation (3, 3) and the vectors, (3,) each, in their order. Raises ShapeError for other
+        shapes.
+        """
         shapes = {"rotation": (3, 3), **{name: (3,) for name, _ in self.vectors}}
         R, *columns = of_shape(f"{self.name}.element", shapes, rotation, *vectors)
         return self._matrix(R, columns)
@@ -151,7 +153,7 @@ class ExtendedPose(Group):
         return self._matrix(R.T, [-multiply(R.T, p) for p in columns])
 
     def difference(self, g: Input, h: Input) -> Float[Array, "n"]:
-        """$Log(g^-1 h)$, with the vectors subtracted first so that large common positions cost no digits."""
+        """$Log(g^-1 h)$, with the vectors subtracted first to avoid cancellation of large common positions."""
         (R, left), (S, right) = self._taken("difference", g, h)
         return self._log(multiply(R.T, S), [multiply(R.T, q - p) for p, q in zip(left, right, strict=True)])
 
@@ -185,7 +187,7 @@ class ExtendedPose(Group):
         return self._matrix(SO3.normalize(R), columns)
 
     def tighten(self, g: Input) -> Float[Array, "m m"]:
-        """One Newton step of the rotation towards the nearest one; the vectors stay."""
+        """One Newton step of the rotation towards the nearest one; the vectors are unchanged."""
         ((R, columns),) = self._taken("tighten", g)
         return self._matrix(SO3.tighten(R), columns)
 

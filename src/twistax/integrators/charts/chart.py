@@ -21,9 +21,9 @@ from .coordinates import Compensated, Coordinates, FlatCoordinates, GroupCoordin
 
 __all__ = ["Ambient", "Chart", "Coordinates", "Exponential", "SplitExponential"]
 
-# ---- rotations and poses: unit quaternions (and positions) between steps -----------------------------------------
-# A quaternion is put back to length one by one scalar, so that its rotation stays orthonormal to round-off for ever; a
-# product of two costs 16 multiplications where one of matrices costs 27.
+# ---- rotations and poses: unit quaternions (and positions) between steps ----------------------------------------- One
+# scalar normalises a quaternion, so that its rotation stays orthonormal to round-off; a product of two quaternions
+# costs 16 multiplications, one of matrices 27.
 
 
 def conjugate(q: Components) -> Components:
@@ -32,7 +32,7 @@ def conjugate(q: Components) -> Components:
 
 
 def tightened(q: Components) -> Components:
-    """A quaternion close to length one, normalised by one Newton step."""
+    """A quaternion whose length is close to one, normalised by one Newton step."""
     return scale(1.5 - 0.5 * _square(q), q)
 
 
@@ -43,7 +43,7 @@ def _square(q: Components) -> jax.Array:
 class _Stored(Coordinates):
     """A rotation as its quaternion, a pose as (quaternion, position); rates as w, of poses as [v; w].
 
-    A rotation is a pose whose position is (): one formula serves both.
+    A rotation is treated as a pose with the position (), so one implementation serves both.
     """
 
     def __init__(self, group: SpecialEuclidean | None) -> None:
@@ -154,11 +154,11 @@ class _Pose(_Stored):
         return (*_turning(y[:4], z[3:], cosine, sine), *shift)
 
     def _turn_and_shift(self, y: Components, z: Components) -> tuple[jax.Array, jax.Array, Components]:
-        """cos(t/2), sin(t/2)/t, and how far the position moves."""
+        """cos(t/2), sin(t/2)/t, and the displacement of the position."""
         v, w = z[:3], z[3:]
         x = dot(w, w)
         cosine, sine, third = stored_once((*self.maps.half_turn(x), self.maps.third(x)))
-        # (1 - cos t)/t^2 = 2 (sin(t/2)/t)^2: the sine of the quaternion serves again.
+        # (1 - cos t)/t^2 = 2 (sin(t/2)/t)^2, which reuses the sine of the quaternion.
         shift = stored_once(swept(w, v, 2.0 * sine * sine, third))
         return cosine, sine, quaternions.rotate(y[:4], shift)
 
@@ -185,8 +185,8 @@ def _turning(q: Components, w: Components, cosine: jax.Array, sine: jax.Array) -
 class _Maps:
     """The scalar functions of x = |w|^2 in Exp and in the inverse right Jacobian.
 
-    In closed form, guarded near zero; beyond a full turn, where J_r is singular, NaN. With a number of commutators as
-    polynomials: Exp is exact to round-off up to a half turn, and NaN beyond it.
+    Closed forms with a series near zero; NaN beyond a full turn, where J_r is singular. With a number of commutators
+    they are polynomials: Exp is exact to round-off up to a half turn, and NaN beyond it.
     """
 
     commutators: int | None
@@ -217,8 +217,8 @@ class _Maps:
 class Chart(ABC):
     """The coordinates of a step around its start. Charts with equal fields are equal.
 
-    A new chart is a subclass that defines coordinates for rotations and poses. Increments are added to states without a
-    group; states on other groups use exponential coordinates.
+    To define a chart, subclass it and define coordinates for rotations and poses. Increments are added to states
+    without a group; states on other groups use exponential coordinates.
     """
 
     def coordinates(self, group: Group) -> Coordinates:
@@ -243,9 +243,9 @@ class Chart(ABC):
 class Ambient(Chart):
     """Quaternion and position as plain numbers, $q' = q (0, w) / 2$, $p' = R(q) v$; q is normalised once in each step.
 
-    The cheapest chart, and as accurate as the others for problems that are not stiff. Within a step the quaternion
-    leaves the unit sphere by the error of the stages. There is no limit on rotations within a step: the error of a long
-    step is that of the tableau.
+    It is the cheapest chart, and as accurate as the others for non-stiff problems. Within a step the quaternion
+    deviates from the unit sphere by the error of the stages. Rotations within a step are not limited: the error of a
+    long step is that of the tableau.
 
     Source: Hairer, Lubich, Wanner, Geometric Numerical Integration (2006), section IV.4 (projection methods).
     """
@@ -263,12 +263,12 @@ class Exponential(Chart):
 
     Attributes:
         commutators: the number of powers of ad in $J_r(eta)^-1 = I + ad/2 + ad^2/12 - ad^4/720 + ...$. All operations
-            are then polynomials, and a step of more than half a turn fails. None: closed forms, and a step of more
-            than a full turn fails.
+            are then polynomials, and a step that rotates by more than half a turn fails. With None they are closed
+            forms, and a step that rotates by more than a full turn fails.
     A method of order p needs p - 2 commutators; `RKMK` without a chart uses this number.
 
     Raises:
-        ModelError: commutators is not a whole number from 1 on.
+        ModelError: `commutators` is not a positive whole number.
 
     Source: Munthe-Kaas, High order Runge-Kutta methods on manifolds (1999); Hairer, Lubich, Wanner, Geometric Numerical
     Integration (2006), section IV.8, for the number of terms.
@@ -279,7 +279,7 @@ class Exponential(Chart):
     def __post_init__(self) -> None:
         if self.commutators is not None and (not isinstance(self.commutators, int) or self.commutators < 1):
             raise ModelError(
-                f"commutators must be a whole number from 1 on, or None for the closed form, got {self.commutators!r}"
+                f"commutators must be a positive whole number, or None for the closed form, got {self.commutators!r}"
             )
 
     def for_rotation(self) -> Coordinates:
@@ -301,7 +301,7 @@ class SplitExponential(Exponential):
 
 
 def chart_of(owner: str, chart: Any, default: Chart) -> Chart:
-    """The chart of a method, or the default one. Raises ModelError for something that is no chart."""
+    """The chart of a method, or the default one. Raises ModelError for an object that is not a chart."""
     if chart is None:
         return default
     instance(owner, chart, Chart, "a chart like tx.charts.Exponential()", ModelError)
@@ -316,9 +316,10 @@ def coordinates_of(chart: Chart, group: Product) -> StateCoordinates:
 
 @functools.lru_cache(maxsize=256)
 def compensated(chart: Chart, group: Product) -> StateCoordinates:
-    """The coordinates of a state in a chart, for steps that follow each other; the same object for equal arguments.
+    """The coordinates of a state in a chart, with compensated summation over successive steps; the same object for
+    equal arguments.
 
-    Groups that a chart does not know move by their own maps, as they are.
+    States on groups without formulas in the chart use the exponential map of the group.
     """
     parts: dict[str, Any] = {}
     for name, part in coordinates_of(chart, group).parts.items():

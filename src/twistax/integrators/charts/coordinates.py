@@ -1,4 +1,6 @@
-"""Coordinates: how each part of a state is stored between steps, and how it moves around the start of a step."""
+"""Coordinates: the stored form of each part of a state between steps, and its coordinates
+around the start of a step.
+"""
 
 from __future__ import annotations
 
@@ -15,13 +17,13 @@ from ...groups import Group, Product
 from ...groups.arrays import add, unpack, vector
 from ...system.dynamics import Arrays
 
-#: Numbers of one part of the state: a tuple of scalars, or one array where scalars would be too many.
+#: Numbers of one part of the state: a tuple of scalars, or one array if there would be too many scalars.
 Block: TypeAlias = tuple[jax.Array, ...]
 
-#: Numbers by the name of the state: stored states, coordinates, rates. A pytree.
+#: Numbers by the name of the state: stored states, coordinates or rates. A pytree.
 Blocks: TypeAlias = dict[str, Block]
 
-#: States without a group are held as scalars up to this size: scalar code runs faster and compiles slower.
+#: States without a group are stored as scalars up to this size: scalar code runs faster but compiles more slowly.
 _SCALARS = 16
 
 
@@ -33,8 +35,8 @@ class Coordinates(ABC):
 
         the state at z is `move(y, z)`, and z' = `slope(z, move(y, z), omega)`,
 
-    so that any Runge-Kutta method can integrate z. All methods are pure and traceable. The non-abstract methods
-    implement states without a group, to which increments are added.
+    so any Runge-Kutta method can integrate z. All methods are pure and traceable. The non-abstract methods implement
+    states without a group, to which increments are added.
     """
 
     @abstractmethod
@@ -58,15 +60,15 @@ class Coordinates(ABC):
         return add(y, z)
 
     def slope(self, z: Block, moved: Block, omega: Block) -> Block:
-        """z' at z; `moved` is move(y, z)."""
+        """The derivative z' at z; `moved` is move(y, z)."""
         return self.first_slope(moved, omega)
 
     def first_slope(self, y: Block, omega: Block) -> Block:
-        """z' at z = 0: the rate itself, as in all exponential coordinates."""
+        """The derivative z' at z = 0: the rate itself, as in all exponential coordinates."""
         return omega
 
     def tangent(self, z: Block) -> jax.Array:
-        """The tangent d of the move, value(move(y, z)) = value(y) Exp(d), where z holds its entries.
+        """The tangent d of the move, value(move(y, z)) = value(y) Exp(d); `z` contains its entries.
 
         Raises:
             ModelError: coordinates of another kind.
@@ -79,8 +81,8 @@ class Coordinates(ABC):
     def deviation(self, e: Block, after: Block) -> Block:
         """The tangent, up to higher order, for a small difference e of coordinates near the end of a step.
 
-        Rotations in rad, positions in their unit; poses as [v; w] whatever their order. Only its norm is used, so the
-        axes may be those of the start of the step.
+        Rotations in rad, positions in their unit; poses as [v; w] whatever the order of the group. Only its norm is
+        used, so the axes may be those of the start of the step.
         """
         return e
 
@@ -157,19 +159,20 @@ class GroupCoordinates(Coordinates):
         return (self.group.tighten(moved[0]),)
 
 
-# ---- compensated addition in single precision: without it a million steps in float32 lose 1 % of a time, because each
-# adds little to much and rounds it the same way. It is in every step, so that the number of steps stays an input.
+# ---- compensated summation in single precision: without it, a million steps in float32 lose 1 % of the time, because
+# each adds a small number to a large one with a systematic rounding error. It is used in every step, so that the number
+# of steps remains an input.
 
-#: Numbers that are rounded coarser than this are compensated: those of float32, not those of float64.
+#: Numbers with a coarser round-off than this use compensated summation: those of float32, not those of float64.
 _COARSE = 1e-10
 
 
 class Compensated(Coordinates):
-    """Coordinates with compensated summation: numbers are stored as (y, r), r the accumulated round-off of y.
+    """Coordinates with compensated summation: numbers are stored as (y, r), with r the accumulated round-off of y.
 
-    A step that moves y by d makes s = fl(y + (d + r)) of it, and r becomes the error of that sum, to the last bit. The
-    numbers of a rotation are those of its quaternion, of which d = q (Exp(z) - 1); putting it back to length one is
-    such a sum too. In double precision r is left out.
+    A step that moves y by d computes s = fl(y + (d + r)), and r becomes the exact error of that sum. The numbers of a
+    rotation are those of its quaternion, with d = q (Exp(z) - 1); its normalisation is such a sum, too. In double
+    precision r is omitted.
 
     Source: Neumaier, Rundungsfehleranalyse einiger Verfahren zur Summation endlicher Summen (1974); Knuth, The Art of
     Computer Programming 2 (1997), section 4.2.2, theorem B, for the error of a sum.
@@ -237,7 +240,7 @@ def _sum(a: jax.Array, b: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 class StoredState(ABC):
-    """The stored form of a system's states between steps. Pure and traceable."""
+    """The stored form of a system's states between steps. Its methods are pure and traceable."""
 
     @abstractmethod
     def enter(self, x: Arrays) -> Blocks:
@@ -258,7 +261,7 @@ def _part_by_part(method: str) -> Callable[..., Any]:
 
 
 class StateCoordinates(StoredState):
-    """`Coordinates` of every part of a state, with their methods on dicts by name. Pure and traceable."""
+    """`Coordinates` of all parts of a state: the same methods on dicts by name. Pure and traceable."""
 
     def __init__(self, parts: Mapping[str, Coordinates]) -> None:
         self.parts = dict(parts)

@@ -1,4 +1,4 @@
-"""A system in the form that diffrax expects: its term; rates, coordinates and errors in a chart; one explicit step."""
+"""A system in the form that diffrax requires: its term; rates, coordinates and errors in a chart; one explicit step."""
 
 from __future__ import annotations
 
@@ -26,7 +26,9 @@ from ..tableaus import StageRows, lower_triangle
 
 
 class LieTerm(diffrax.AbstractTerm):
-    """A system as a term for `LieSolver`. Its rates are body velocities, which plain solvers cannot add to a state."""
+    """A system as a term for `LieSolver`. Its rates are body velocities, which diffrax's own solvers cannot add to a
+    state.
+    """
 
     dynamics: Dynamics = eqx.field(static=True)
 
@@ -41,14 +43,15 @@ class LieTerm(diffrax.AbstractTerm):
     def prod(self, vf: Any, control: Any) -> NoReturn:
         """Raises ModelError, because a solver that calls it would add body velocities to poses."""
         raise ModelError(
-            "a term of tx.diffrax.lie_term gives body velocities, which a plain solver cannot add to poses.\n"
-            "  fix: wrap the solver, tx.diffrax.LieSolver(diffrax.Tsit5(), dynamics), or give a plain solver "
-            "tx.diffrax.ambient_term(dynamics). BacksolveAdjoint with a custom solver ends here, too: omit it"
+            "a term of tx.diffrax.lie_term has body velocities, which a plain solver cannot add to poses.\n"
+            "  fix: wrap the solver, tx.diffrax.LieSolver(diffrax.Tsit5(), dynamics), or pass "
+            "tx.diffrax.ambient_term(dynamics) to a plain solver. This error also occurs for "
+            "BacksolveAdjoint with a custom solver: omit it"
         )
 
 
 def lie_term(dynamics: Dynamics) -> LieTerm:
-    """A system as a term for `LieSolver`, with args = (u, params) as `tx.integrate` takes them, or None.
+    """A system as a term for `LieSolver`, with args = (u, params) in the form of `tx.integrate`, or None.
 
     Raises:
         ModelError: the system is not compiled.
@@ -58,18 +61,20 @@ def lie_term(dynamics: Dynamics) -> LieTerm:
 
 
 class _Refusing(type(diffrax.AbstractTerm)):  # type: ignore[misc]
-    """The type of `LieTerms`: its instance check raises the reason why a term is refused; diffrax's gives none."""
+    """The type of `LieTerms`: its instance check raises an error with the reason why a term is refused."""
 
     def __instancecheck__(cls, term: Any) -> bool:
         return bool(parts_of(term))
 
 
 class LieTerms(diffrax.AbstractTerm, metaclass=_Refusing):
-    """The terms of `LieSolver`: one of `lie_term`, or a MultiTerm of these. Others raise ModelError with the reason."""
+    """The terms that `LieSolver` accepts: one of `lie_term`, or a MultiTerm of these. Others raise ModelError with the
+    reason.
+    """
 
 
 class DirectedSystem(NamedTuple):
-    """One system among the terms, and the direction of time: 1, or -1 if diffrax integrates backwards."""
+    """One of the systems in the terms, and the direction of time: 1, or -1 if diffrax integrates backwards."""
 
     dynamics: Dynamics
     direction: Any
@@ -87,15 +92,15 @@ def parts_of(terms: Any) -> tuple[DirectedSystem, ...]:
             raise ModelError(
                 "BacksolveAdjoint cannot work on groups: it integrates the state backwards together with an adjoint "
                 "that would have to live in the cotangent space of every pose.\n"
-                "  fix: leave adjoint out, or take diffrax.RecursiveCheckpointAdjoint(); for forward derivatives "
-                "diffrax.ForwardMode()"
+                "  fix: leave adjoint out, or use diffrax.RecursiveCheckpointAdjoint(); for forward "
+                "derivatives use diffrax.ForwardMode()"
             )
         if not isinstance(term, LieTerm):
             raise ModelError(
                 f"tx.diffrax.LieSolver and tx.diffrax.controller need terms of tx.diffrax.lie_term, got "
                 f"{type(term).__name__}.\n"
-                "  fix: diffeqsolve(tx.diffrax.lie_term(dynamics), tx.diffrax.LieSolver(...), ...); with a plain term "
-                "take a plain solver and diffrax.PIDController"
+                "  fix: diffeqsolve(tx.diffrax.lie_term(dynamics), tx.diffrax.LieSolver(...), ...); for a "
+                "plain term use a plain solver and diffrax.PIDController"
             )
         return DirectedSystem(term.dynamics, direction)
 
@@ -104,7 +109,9 @@ def parts_of(terms: Any) -> tuple[DirectedSystem, ...]:
 
 @dataclasses.dataclass(frozen=True)
 class ChartedSystem:
-    """A system in a chart, the coordinates around the start of a step. Hashable. Numbers are passed as flat vectors."""
+    """A system in a chart, with coordinates around the start of a step. Hashable. Numbers are
+    passed as flat vectors.
+    """
 
     dynamics: Dynamics
     chart: Chart
@@ -124,12 +131,12 @@ class ChartedSystem:
         return self.local.rate({name: rate.reshape(-1) for name, rate in rates.items()})
 
     def packed(self, x: Arrays) -> tuple[jax.Array, Callable[[jax.Array], Blocks]]:
-        """The coordinates of x itself around x, flat, and how to read flat ones."""
+        """The coordinates of x around x itself, flat, and the function that unpacks flat ones."""
         return self.local.packed(self.local.enter(x), self.dynamics.group)
 
     def errors(self, x: Arrays, end: Blocks, e: Blocks) -> Arrays:
         """An error e of the coordinates of `end`, as the change of the entries of its value x: [R W, R v; 0 0] for a
-        pose and a deviation [v; w]. Infinite where x is not finite.
+        pose and a deviation [v; w]. Infinite if x is not finite.
         """
         parts = self.local.parts
         velocities = {name: parts[name].velocity(d) for name, d in self.local.deviation(e, end).items()}
@@ -158,11 +165,11 @@ class Stepped(NamedTuple):
 def explicit_step(
     frame: ChartedSystem, tableau: diffrax.ButcherTableau, arguments: Arguments, h: jax.Array, rate: jax.Array | None
 ) -> Stepped:
-    """The step of an explicit Runge-Kutta solver of diffrax, as one small function where that is known to work.
+    """The step of an explicit Runge-Kutta solver of diffrax, compiled as one small function if this is supported.
 
-    The tableau is diffrax's, the loop over stages that of `RKMK`: slopes are pulled back in the chart, and the rate of
-    the last stage is handed on as a body velocity, which needs no change of chart; `rate`, where it is known, is that
-    at the start, flat. Traceable.
+    The tableau is that of diffrax, the loop over stages that of `RKMK`. The rate of the last stage is passed to the
+    next step as a body velocity, which needs no change of chart. `rate`, if known, is the rate at the start, flat.
+    Traceable.
     """
     stages, local = StageRows(lower_triangle(tableau.a_lower), np.append(0.0, tableau.c)), frame.local
 

@@ -1,4 +1,4 @@
-"""Any Runge-Kutta solver of diffrax as a Lie-group solver, and a controller of its steps by tolerances."""
+"""Runge-Kutta solvers of diffrax as Lie-group solvers, and a step size controller with tolerances."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from .frame import ChartedSystem, DirectedSystem, LieTerms, explicit_step, parts
 
 
 class LieInterpolation(diffrax.AbstractLocalInterpolation):
-    """The state within a step: the wrapped solver's interpolation of the coordinates, moved from the start."""
+    """The state within a step: the wrapped solver's interpolation of the coordinates around the start."""
 
     t0: Any  # type: ignore[misc]
     t1: Any  # type: ignore[misc]
@@ -39,11 +39,11 @@ class LieInterpolation(diffrax.AbstractLocalInterpolation):
     frame: ChartedSystem = eqx.field(static=True)
 
     def evaluate(self, t0: Any, t1: Any = None, left: bool = True) -> Arrays:
-        """The state at t0, in its group. Raises InputError for an increment, which has no meaning on a group."""
+        """The state at t0, in its group. Raises InputError for an increment, which is not defined on a group."""
         if t1 is not None:
             raise InputError(
-                "an increment between two times has no meaning for states on groups.\n"
-                "  fix: evaluate at both times and take dynamics.difference(x, y)"
+                "an increment between two times is not defined for states on groups.\n"
+                "  fix: evaluate at both times and use dynamics.difference(x, y)"
             )
         local, x = self.frame.local, dict(self.start)
         z = self.frame.packed(x)[1](self.coordinates.evaluate(t0, left=left))
@@ -52,7 +52,7 @@ class LieInterpolation(diffrax.AbstractLocalInterpolation):
 
 @dataclasses.dataclass(frozen=True)
 class _Interpolate:
-    """Makes the interpolation of one step. A value, as diffrax keeps it as structure."""
+    """Makes the interpolation of one step. Comparable by value, because diffrax stores it as structure."""
 
     coordinates: Any
     frame: ChartedSystem
@@ -68,23 +68,24 @@ class LieSolver(diffrax.AbstractWrappedSolver):
         control = tx.diffrax.controller(rtol=1e-9, atol=1e-9)
         sol = diffrax.diffeqsolve(term, solver, 0.0, 10.0, None, x0, args=(u, params), stepsize_controller=control)
 
-    y is the state as `tx.integrate` takes it: a dict, poses as (4, 4), rotations as (3, 3). With $g = g_0 Exp(eta)$ the
-    wrapped solver integrates $eta' = J_r(eta)^-1 Omega$, so poses stay in their group to round-off, between steps and
-    in dense output too. SaveAt, Event, progress meters and all adjoints but BacksolveAdjoint work.
+    The state y is that of `tx.integrate`: a dict with poses as (4, 4) and rotations as (3, 3). With $g = g_0 Exp(eta)$,
+    the wrapped solver integrates $eta' = J_r(eta)^-1 Omega$, so poses stay in their group to round-off, between steps
+    and in dense output, too. SaveAt, Event, progress meters and all adjoints except BacksolveAdjoint are supported.
 
-    The tableau of an explicit solver is used, and a step is compiled as one small function where this is supported.
-    Implicit solvers solve their equations in the coordinates. KenCarp and Sil3, which treat one part implicitly, take
-    `diffrax.MultiTerm(lie_term(explicit), lie_term(implicit))`, two systems with the same states.
+    For an explicit solver, its tableau is used, and a step is compiled as one small function if this is supported.
+    Implicit solvers solve their equations in the coordinates. KenCarp and Sil3, which treat one part implicitly,
+    require `diffrax.MultiTerm(lie_term(explicit), lie_term(implicit))`, two systems with the same states.
 
     Attributes:
         solver: an explicit Runge-Kutta solver (Euler, Heun, Midpoint, Ralston, Bosh3, Tsit5, Dopri5, Dopri8), an
             implicit one (ImplicitEuler, Kvaerno3 to 5, KenCarp3 to 5, Sil3), or a HalfSolver of one.
         dynamics: the compiled system.
-        chart: the coordinates; exponential ones if left out, with as many commutators as an explicit solver's order
-            needs, in closed form for the others.
+        chart: the coordinates. By default exponential coordinates, with as many commutators as the order of an explicit
+            solver requires, or in closed form for other solvers.
 
     Raises:
-        ModelError: another kind of solver, no compiled system, no chart, or a chart that an implicit solver cannot use.
+        ModelError: another kind of solver, a system that is not compiled, an object that is not a chart, or a chart
+            that an implicit solver cannot use.
 
     Source: Munthe-Kaas, High order Runge-Kutta methods on manifolds (1999).
     """
@@ -98,9 +99,9 @@ class LieSolver(diffrax.AbstractWrappedSolver):
         order: Any = solver.order(None) if _is_explicit(solver) else None
         default = Exponential(commutators=None if order is None else max(1, order - 2))
         self.frame = ChartedSystem(dynamics, default if chart is None else chart)
-        _ = self.frame.ambient  # refuses groups without matrices, by name
+        _ = self.frame.ambient  # refuses groups without matrices, with their names
 
-    # The interface of diffrax, partly that of the wrapped solver.
+    # The interface of diffrax, in part that of the wrapped solver.
     term_structure = property(lambda self: LieTerms, doc="What terms must be.")
     interpolation_cls = property(
         lambda self: _Interpolate(self.solver.interpolation_cls, self.frame), doc="Makes the interpolation of a step."
@@ -110,11 +111,11 @@ class LieSolver(diffrax.AbstractWrappedSolver):
     root_find_max_steps = property(lambda self: self.solver.root_find_max_steps, doc="Its most iterations.")
 
     def order(self, terms: Any) -> Any:
-        """The wrapped solver's."""
+        """The order of the wrapped solver."""
         return self.solver.order(terms)
 
     def error_order(self, terms: Any) -> Any:
-        """The wrapped solver's. Raises ModelError for other terms."""
+        """The error order of the wrapped solver. Raises ModelError for terms of another kind."""
         self._parts(terms)
         return self.solver.error_order(terms)
 
@@ -155,7 +156,7 @@ class LieSolver(diffrax.AbstractWrappedSolver):
     ) -> tuple[Arrays, Arrays | None, dict[str, Any], Any, Any]:
         """A step of the wrapped solver itself, on the coordinates."""
         frame, local = self.frame, self.frame.local
-        # A table may jump where a step begins, and the last slope is that before the jump.
+        # A table may jump at the start of a step, and the last slope is that before the jump.
         made_jump = True if arguments.signals.jumps else made_jump
         inner, (origin, read) = self._in_chart(terms, arguments, h), frame.packed(arguments.x)
         z, e, within, state, result = self.solver.step(inner, t0, t1, origin, None, state, made_jump)
@@ -185,7 +186,7 @@ class LieSolver(diffrax.AbstractWrappedSolver):
         return diffrax.MultiTerm(*members) if len(members) > 1 else members[0]
 
     def _carried(self, x: Arrays, z: Blocks, end: Blocks, flat: jax.Array) -> jax.Array:
-        """A slope at the end of a step, in the coordinates around its start, in those around its end.
+        """A slope at the end of a step, transformed from the coordinates around the start to those around the end.
 
         There a slope is the body velocity itself, Omega = J_r(eta) eta'.
         """
@@ -219,13 +220,13 @@ class LieSolver(diffrax.AbstractWrappedSolver):
                 take = "diffrax.MultiTerm(tx.diffrax.lie_term(explicit), tx.diffrax.lie_term(implicit)), two systems "
                 take += "whose rates add up"
             raise ModelError(
-                f"{type(self.solver).__name__} got {len(parts)} term{'s' * (len(parts) > 1)}.\n  fix: give it {take}"
+                f"{type(self.solver).__name__} got {len(parts)} term{'s' * (len(parts) > 1)}.\n  fix: pass {take}"
             )
         for part in parts:
             if part.dynamics.group != self.frame.dynamics.group:
                 raise ModelError(
                     f"the term's states are {part.dynamics.group!r}, the solver's {self.frame.dynamics.group!r}.\n"
-                    "  fix: give lie_term and LieSolver the same system"
+                    "  fix: pass the same system to lie_term and LieSolver"
                 )
         return parts
 
@@ -239,21 +240,21 @@ def _is_explicit(solver: Any) -> bool:
 def _check(solver: Any, dynamics: Any, chart: Any) -> None:
     need_compiled("LieSolver", dynamics)
     if isinstance(solver, type):
-        raise ModelError(f"LieSolver expects a solver, got its class.\n  fix: {solver.__name__}()")
+        raise ModelError(f"LieSolver expects a solver instance, got its class.\n  fix: {solver.__name__}()")
     inner = solver.solver if type(solver) is diffrax.HalfSolver else solver
     known = (diffrax.AbstractRungeKutta, diffrax.Euler, diffrax.ImplicitEuler)
     if not isinstance(inner, known) or isinstance(inner, diffrax.AbstractWrappedSolver):
         raise ModelError(
-            f"LieSolver wraps Runge-Kutta solvers, got {type(solver).__name__}: its steps do not stay in coordinates "
-            "around one start.\n"
-            "  fix: take diffrax.Tsit5(), diffrax.Dopri8(), diffrax.Kvaerno5() or another Runge-Kutta solver"
+            f"LieSolver wraps Runge-Kutta solvers, got {type(solver).__name__}. The stages of a step must be "
+            "coordinates around the state at its start.\n"
+            "  fix: use diffrax.Tsit5(), diffrax.Dopri8(), diffrax.Kvaerno5() or another Runge-Kutta solver"
         )
     chart_of("LieSolver", chart, Exponential())
     tangents = isinstance(chart, Exponential) and not isinstance(chart, SplitExponential)
     if chart is not None and not tangents and not _is_explicit(solver):
         raise ModelError(
             f"{type(solver).__name__} needs exponential coordinates of the whole state, got {chart!r}.\n"
-            "  fix: leave chart out, or take tx.charts.Exponential()"
+            "  fix: leave chart out, or pass tx.charts.Exponential()"
         )
 
 
@@ -270,16 +271,16 @@ class _State(eqx.Module):
 
 @dataclasses.dataclass(frozen=True)
 class _Probe(RKMK):
-    """A method of any error order, to choose the first step."""
+    """A method with any error order, to choose the first step."""
 
     error_order: int = 1
 
 
 class LieController(diffrax.AbstractAdaptiveStepSizeController):
-    """diffrax's PIDController with errors in the tangent space. `controller` makes it.
+    """diffrax's PIDController with errors in the tangent space. Made by `controller`.
 
     Attributes:
-        rtol, atol, norm: for the equations of implicit solvers; atol is the smallest of the given values.
+        rtol, atol, norm: tolerances for the equations of implicit solvers; atol is the smallest absolute tolerance.
         allowed: the absolute tolerance as passed, a number or a dict by state.
         pid: the controller of the step size.
     """
@@ -297,7 +298,7 @@ class LieController(diffrax.AbstractAdaptiveStepSizeController):
     def init(
         self, terms: Any, t0: Any, t1: Any, y0: Mapping[str, Any], dt0: Any, args: Any, func: Any, error_order: Any
     ) -> tuple[Any, _State]:
-        """The end of the first step, estimated from the rates where dt0 is None.
+        """The end of the first step, estimated from the rates if dt0 is None.
 
         Raises:
             ModelError: terms that are not those of `lie_term`, or another solver around `LieSolver`.
@@ -307,7 +308,7 @@ class LieController(diffrax.AbstractAdaptiveStepSizeController):
         if type(getattr(func, "__self__", None)) is diffrax.HalfSolver:
             raise ModelError(
                 "HalfSolver(LieSolver(...)) compares matrices entry by entry.\n"
-                "  fix: wrap the other way round: tx.diffrax.LieSolver(diffrax.HalfSolver(...), dynamics)"
+                "  fix: use tx.diffrax.LieSolver(diffrax.HalfSolver(...), dynamics)"
             )
         dynamics, direction = parts[0]
         arguments = read_arguments(dynamics, direction * t0, y0, args)

@@ -39,10 +39,11 @@ from ..loop.outcome import EventState, Halt, Result
 from ..method import Stepper
 from .crossings import CrossingTable
 
-#: From a length to the packed state after a step of that length from the start of the current step.
+#: A function from a length to the packed state after a step of that length from the start of the current step.
 Advance: TypeAlias = Callable[[jax.Array], Packed]
 
-#: A condition at the start counts as zero up to its change over a short time, times this power of the machine epsilon,
+#: A condition at the start counts as zero if it is smaller than its change over a short time, times this power of the
+#: machine epsilon,
 _HAIR = 0.3
 #: or if it becomes zero within this many units of round-off of the time.
 _HAIR_OF_TIME = 16.0
@@ -61,13 +62,13 @@ class AtStart(enum.Enum):
     zero up to round-off. For every choice, `Solution.at_start` records for which events this was the case.
     """
 
-    #: The event is met at the start, and ends an integration at once. Not where the condition is zero and moves to the
-    #: other side just after: a body that takes off has not landed.
+    #: The event occurs at the start, and ends the integration immediately. It does not if the condition is zero and
+    #: moves to the opposite side immediately afterwards: a body that takes off has not landed.
     STOP = "met at the start"
-    #: The event is met at the start only where the condition is zero there and goes past it just after, in the
-    #: direction of the event. One of any direction has no such side, and is not met.
+    #: The event occurs at the start only if the condition is zero there and crosses zero immediately afterwards, in the
+    #: direction of the event. An event without direction does not occur.
     CROSSING = "met where it crosses zero there"
-    #: The event is not met until the condition has been on the other side.
+    #: The event does not occur until the condition has been on the other side of zero.
     IGNORE = "not met"
 
 
@@ -76,27 +77,28 @@ class Event:
     """An event: by default the integration ends where its condition becomes zero,
     `tx.integrate(..., event=tx.Event(condition))`.
 
-    A step during which the sign of the condition changes is repeated up to the root, in its group and to round-off
-    of the time. Roots within a step are detected too: the condition is evaluated at seven points on the interpolating
-    polynomial of the step, or for methods without one at three points by shorter steps. Where a parabola through three
+    A step during which the sign of the condition changes is repeated up to the root, in its group and to round-off of
+    the time. Two roots within a step are detected too: the condition is evaluated at seven points on the interpolating
+    polynomial of the step, or for methods without one at three points by shorter steps. If a parabola through three
     values comes near zero, its extremum is located. So two roots within one step are detected unless the condition has
     several extrema within an eighth of the step. A condition that is zero at the end, up to round-off, is an event. A
-    condition that is NaN has no sign. Backward in time a condition rises if it increases along the integration.
+    condition that is NaN has no sign. In a backward integration, a condition rises if it increases along the
+    integration.
 
     Attributes:
-        condition: an expression of shape (), whose zeros are events; or a comparison, whose event is where it becomes
-            true: where a - b crosses zero from above, for a < b and a <= b alike. Or a traceable function
-            f(t, x, u, params) -> (); a function is part of the compiled program: another one recompiles.
-        direction: None: any root; True or 1: only where the condition rises; False or -1: only where it falls. The
-            number 0, which means any root in other programs, raises an error.
+        condition: an expression of shape (), whose zeros are events; or a comparison, whose event is the point where it
+            becomes true: where a - b crosses zero from above, for both a < b and a <= b. It may also be a traceable
+            function f(t, x, u, params) -> (), which becomes part of the compiled program: another function recompiles.
+        direction: None: any root; True or 1: only roots at which the condition rises; False or -1: only roots at which
+            it falls. The number 0, which means any root in other programs, raises an error.
         terminal: True: the integration ends there. False: it continues, and `Solution.crossings` has the time, the
             state and the direction of each crossing.
         at_start: an `AtStart`. The default is STOP for comparisons and CROSSING for expressions.
-            To continue from an event that ended an integration: `AtStart.IGNORE`.
+            Use `AtStart.IGNORE` to continue after an event that ended an integration.
 
     Raises:
-        ModelError: a condition of another kind or shape; another direction, or one for a comparison, which has
-            its own; another `terminal` or `at_start`.
+        ModelError: a condition of another type or shape; an invalid direction, or a direction for a comparison, which
+            determines it; an invalid `terminal` or `at_start`.
     """
 
     condition: Any
@@ -131,7 +133,7 @@ class Event:
         if self.direction is not None:
             raise ModelError(
                 f"Event: {condition!r} is a comparison, which has a direction, got direction={self.direction!r} too.\n"
-                "  fix: leave the direction out; ~(condition) is the event where it ceases to hold"
+                "  fix: leave the direction out; ~(condition) is the event at which the comparison becomes false"
             )
         object.__setattr__(self, "condition", margin("Event", condition))
         object.__setattr__(self, "direction", False)
@@ -144,7 +146,9 @@ class Event:
 
 @dataclasses.dataclass(frozen=True)
 class _OfExpression:
-    """An expression as a condition, with the numbers it is compared to as inputs. Equal if the expressions are."""
+    """An expression as a condition, with the numbers that it is compared with as inputs. Equal
+    for equal expressions.
+    """
 
     key: Any
     expr: Expr = dataclasses.field(compare=False)
@@ -185,7 +189,8 @@ class EventConditions:
     def begin(self, advance: Advance, stepper: Stepper, t: jax.Array, h: jax.Array, y: Packed) -> EventState:
         """At the start of an integration whose first step is about h.
 
-        The sign that counts is the one just after: where it goes on from an event, that at the start is noise.
+        The sign immediately after the start is used: if the integration continues from an event, the sign at the start
+        is round-off.
         """
         eps = float(jnp.finfo(t.dtype).eps)
         s = jnp.maximum(eps**0.5 * h, 64.0 * eps * jnp.abs(t))
@@ -200,13 +205,13 @@ class EventConditions:
         return EventState(values, met, halt, y.flat, none.code, crossed)
 
     def before(self, stepper: Stepper, t: jax.Array, y: Any, s: jax.Array, moved: Any) -> tuple[Any, ...]:
-        """The state of the events at the start, from the conditions there and at `moved`, a time s later, which may end
-        at a row before h.
+        """The state of the events at the start, from the conditions there and at `moved`, a time s later, which may be
+        before h because of a table row.
 
         Returns:
-            (m,) values to begin with; (m,) whether each condition is zero or past it; the number of the result, and the
-            event that leads to it; (k, 3) tags of crossings, of all k events that do not end the integration, those of
-            crossings first; and how many crossings there are.
+            (m,) initial values; (m,) whether each condition is zero or past zero; the number of the result, and the
+            event that leads to it; (k, 3) tags of crossings, of all k events that do not end the integration, actual
+            crossings first; and the number of crossings.
         """
         now, soon = self.values(stepper, t, s, t, y), self.values(stepper, t, s, t + s, moved)
         senses = np.asarray(self.senses, now.dtype)
@@ -289,9 +294,9 @@ class EventConditions:
 def event_conditions(
     dynamics: Dynamics, event: Any, start: Inputs, signals: Signals, max_crossings: Any
 ) -> tuple[EventConditions, list[Any]]:
-    """The conditions that `integrate` was given, and values of functions at the start that are traced.
+    """The conditions in the argument `event` of `integrate`, and traced values of functions at the start.
 
-    What was checked once is not checked again. Raises InputError and ModelError.
+    Checks are cached. Raises InputError and ModelError for invalid events.
     """
     events: Sequence[Any] = [event] if isinstance(event, Event) else event
     if not isinstance(events, (list, tuple)) or not events or not all(isinstance(e, Event) for e in events):
@@ -337,7 +342,7 @@ def event_conditions(
     senses, terminal, at_start = zip(*((e.sense, e.terminal, e.at_start) for e in events), strict=True)
     if max_crossings is not None and all(terminal):
         raise InputError(
-            "max_crossings is for events that do not end the integration, and all of these do.\n"
+            "max_crossings applies to events that do not end the integration, but all of these events end it.\n"
             "  fix: leave it out, or tx.Event(condition, terminal=False)"
         )
     room = _ROOM if max_crossings is None else whole("max_crossings", max_crossings)
@@ -345,8 +350,7 @@ def event_conditions(
 
 
 def _of_expression(dynamics: Dynamics, condition: Expr) -> tuple[_OfExpression, list[Any]]:
-    """An expression that the system can evaluate, and the numbers it is compared with, other values of which compile
-    nothing.
+    """An expression that the system can evaluate, and the numbers that it is compared with, which do not recompile.
 
     Raises:
         ModelError: it reads a leaf that the system does not have.

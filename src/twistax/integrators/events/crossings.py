@@ -1,4 +1,4 @@
-"""Crossings of conditions that do not end an integration: the table that the loop over steps fills, and its rows."""
+"""Crossings of events that do not end an integration: the table that the loop over steps fills, and its rows."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def row_of(steps: Any, t: jax.Array, h: jax.Array, s: jax.Array, y: jax.Array, w
 
 
 class CrossingTable(NamedTuple):
-    """Crossings as the loop over steps carries them, in the order of their times. Few arrays compile fast."""
+    """Crossings in the loop over steps, in the order of their times. Few arrays compile fast."""
 
     numbers: jax.Array  # (n, 3 + width) t, h and s of a row, and the packed state
     tags: jax.Array  # (n, 3) steps, which and rises
@@ -109,7 +109,7 @@ def _written(table: jax.Array, place: jax.Array, row: jax.Array) -> jax.Array:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class CrossingRows:
-    """Crossings as `Solution.crossings` has them, rows (n, ...): NaN beyond the count."""
+    """Crossings in the form of `Solution.crossings`, rows (n, ...): NaN beyond the count."""
 
     ts: Any  # in s
     xs: Any  # the states by name

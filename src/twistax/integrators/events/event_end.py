@@ -1,4 +1,4 @@
-"""An integration that an event ends within a step: the state there, saved times before it, and its derivatives."""
+"""An integration that an event ends within a step: the state at the event, saved times before it, and derivatives."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .crossings import Crossed
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Meeting:
-    """The place where an event ends an integration."""
+    """The location at which an event ends an integration."""
 
     met: Any  # whether it does, or a crossing for which there is no room
     which: Any  # the number of the event; -1 for none
@@ -44,7 +44,7 @@ class Meeting:
 
 
 def refined(stepper: Stepper, events: EventConditions, y: Blocks, h: jax.Array, meeting: Meeting) -> Meeting:
-    """The meeting with a root that is differentiable in all inputs, by the implicit function theorem."""
+    """The location with a root that is differentiable with respect to all inputs, by the implicit function theorem."""
     which = jnp.maximum(meeting.which, 0)
 
     # At the start of the integration it stays.
@@ -84,7 +84,7 @@ def cut_at(moved: Blocks, run: Run, meeting: Meeting) -> Run:
 
 
 def saved_before(saved: Saved, parts: StepPart, ts: jax.Array, run: Run, meeting: Meeting) -> tuple[Saved, StepPart]:
-    """Saved times in the last step taken from its start, those after the event not reached; the run is as it halted."""
+    """Saved times in the last step, by shorter steps from its start; times after the event are not reached."""
     within = meeting.met & (ts > meeting.t) & (ts <= meeting.t + meeting.s)
     reached = jnp.where(meeting.met, saved.requested & (ts <= meeting.t + meeting.s), saved.reached)
 

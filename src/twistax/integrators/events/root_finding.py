@@ -1,4 +1,6 @@
-"""The root of a function between two places where its signs differ, and an extremum near zero where they are alike."""
+"""The search for a root of a function between two points with different signs, and for an extremum near zero between
+points with equal signs.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,7 @@ _MOST = 120
 class Bracket:
     """The bracket of a root. `narrowed` halves it, or interpolates where that is known to be safe. Traceable.
 
-    A zero counts as past the root, NaN as before it, so of many zeros in a row the first is found.
+    A zero counts as past the root, and NaN as before it, so the first of several successive zeros is found.
 
     Source: Chandrupatla, A new hybrid quadratic/bisection algorithm for finding the zero of a nonlinear function
     without using derivatives (1997).
@@ -38,8 +40,8 @@ class Bracket:
     ) -> Bracket:
         """The bracket between low and high, where the values are known.
 
-        Where the signs at the two ends are the same, because of round-off, the root is at the end with the smaller
-        value; where at_low is zero it is low.
+        If round-off makes the signs at both ends equal, the root is the end with the smaller value; if at_low is zero,
+        it is low.
         """
         none = jnp.zeros((), int)
         begun = cls((high, at_high), (low, at_low), (low, at_low), at_low, finest, low, none, none > 0)
@@ -73,7 +75,9 @@ class Bracket:
         return jnp.where(jnp.isnan(value), self.at_low, jnp.where(value == 0.0, past, value))
 
     def looking(self, share: jax.Array) -> Bracket:
-        """The bracket with its next place at a share of the way from a to b, or done where it is narrow enough."""
+        """The bracket with its next point at a fraction of the distance from a to b, or finished if it is narrow
+        enough.
+        """
         signs_differ = jnp.sign(self.a[1]) * jnp.sign(self.b[1]) < 0.0
         wide = jnp.abs(self.b[0] - self.a[0]) > 2.0 * self.finest
         place = self.a[0] + share * (self.b[0] - self.a[0])
@@ -85,10 +89,10 @@ def _nonzero(a: jax.Array) -> jax.Array:
 
 
 def near_zero(values: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Where functions of one sign at two neighbouring places may still come to zero between them.
+    """Where functions with one sign at two neighbouring points may reach zero between them.
 
-    A parabola through three neighbours has its extremum there, and that is past zero, or nearer to it than half the
-    second difference of the three: what cubic terms may do.
+    This holds if a parabola through three neighbouring points has its extremum there, and the extremum is past zero or
+    closer to zero than half the second difference, which bounds the effect of cubic terms.
 
     Args:
         values: (k, m) of m functions at k places at equal distances, k > 2.
@@ -110,7 +114,7 @@ def near_zero(values: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 class ExtremumSearch(NamedTuple):
-    """The extremum of a function nearest to zero, between two places on whose outside it is further away.
+    """The extremum of a function nearest to zero, between two points beyond which it is farther from zero.
 
     `narrowed` interpolates with a parabola, for a few times. Traceable.
     """

@@ -1,4 +1,4 @@
-"""The search of a step for the roots of event conditions."""
+"""The search of a step for roots of event conditions."""
 
 from __future__ import annotations
 
@@ -159,14 +159,14 @@ def find_crossings(
 
 
 def halted_code(halt: Halt, code: jax.Array) -> jax.Array:
-    """The number of the result, where the conditions halt the integration."""
+    """The number of the result if the conditions halt the integration."""
     return jnp.where(halt.code != Result.SUCCESS.value, halt.code, code)
 
 
 def _first(
     events: EventConditions, stepper: Stepper, t: jax.Array, h: jax.Array, states: Any, old: jax.Array, ends: Any
 ) -> tuple[_Samples, jax.Array, _PackedJob]:
-    """The conditions along a step and at its end, as of `EventConditions.seen`, and the first search."""
+    """The conditions along a step and at its end, as for `EventConditions.seen`, and the first search."""
     values, after = events.seen(stepper, t, h, states, old, ends)
     samples = stored_once(_Samples.of(events, values))
     return samples, after, _Search(events, t, h, samples).first()

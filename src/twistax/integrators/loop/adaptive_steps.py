@@ -1,4 +1,4 @@
-"""Adaptive steps: their lengths follow from the tolerances."""
+"""Adaptive steps, whose lengths follow from the tolerances."""
 
 from __future__ import annotations
 

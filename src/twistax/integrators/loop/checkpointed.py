@@ -1,4 +1,4 @@
-"""A loop of steps that is differentiable in reverse in bounded memory."""
+"""A loop of steps that is differentiable in reverse mode with bounded memory."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from ...jax_inside import any_of_batch
 
-#: Steps in a block. The backward pass computes them again: only states at the starts of blocks are kept.
+#: Steps in a block. The backward pass computes them again: only states at the starts of blocks are stored.
 _BLOCK = 16
 #: More blocks than this are nested.
 _NEST = 64
@@ -31,14 +31,14 @@ def take_steps(
 ) -> tuple[Any, Any]:
     """y after the first `count` of the steps y -> step(y, entries_by_step[k]), k = 0, 1, ..., bound - 1.
 
-    Traceable, and differentiable forward and in reverse to any order. Reverse mode keeps the states at the starts of
-    blocks alone, about 16 + 2 (n/16)^(1/2) states for n steps, and takes two more forward passes; up to 64 steps are
-    not recomputed. Values that a step closes over are copied for every block, so they should be small. Blocks beyond
-    the count are skipped, under vmap where all members skip them.
+    Traceable, and differentiable in forward and reverse mode to any order. Reverse mode stores only the states at the
+    starts of blocks, about 16 + 2 (n/16)^(1/2) states for n steps, and takes two more forward passes; up to 64 steps
+    are not recomputed. Values that a step closes over are copied for every block, so they should be small. Blocks
+    beyond the count are skipped; under vmap, if all members skip them.
 
     Args:
-        record: also return the values before each step, and after the last one, on a leading axis of bound + 1; entries
-            beyond the count repeat the end.
+        record: whether to return the values before each step and after the last one too, with a leading axis of bound +
+            1; entries beyond the count repeat the last value.
         together: takes the steps of one block at once, as `scan_again` does.
     """
 

@@ -1,6 +1,6 @@
-"""The error of an integration that ended early: time, states, the likely cause and what to do.
+"""The error of an integration that ended early: time, states, the likely cause and a remedy.
 
-Everything is made from numbers that the integration left behind, by NumPy: an error compiles nothing.
+The message is computed by NumPy from the numbers of the integration, so it does not compile anything.
 """
 
 from __future__ import annotations
@@ -31,7 +31,9 @@ def numbers(tree: Any) -> Any:
 
 
 def failure(stepper: Stepper, steps: Steps, outcome: LoopOutcome, x: dict[str, Any]) -> IntegrationError:
-    """The error for an integration that ended early at the state x, or a table of one row. All are known numbers."""
+    """The error for an integration that ended early at the state x, or a table with one row. All arguments are known
+    numbers.
+    """
     x = {name: value.reshape(stepper.dynamics.group.factors[name].shape) for name, value in x.items()}
     result, t, h = Result(int(outcome.code)), float(stepper.clock(outcome.t)), float(outcome.h)
     last = "last state"

@@ -1,4 +1,4 @@
-"""Equal steps, split at the times where rates may jump, so that no step has a jump inside."""
+"""Equal steps, split at times at which rates may jump, so that no step contains a jump."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SNAP = 1e-9
 
 
 def slack(times: Any, h: Any, eps: float) -> Any:
-    """The tolerance, s, within which a time counts as the end of a step of length h: times may be rounded too.
+    """The tolerance, s, within which a time counts as the end of a step of length h, because times may be rounded too.
 
     Args:
         eps: the relative spacing of floating-point numbers in the precision of the times.
@@ -47,10 +47,10 @@ class Splits(NamedTuple):
 
 
 class Grid(NamedTuple):
-    """Steps from t0 of length h, split at jumps. A pytree: other numbers do not compile again.
+    """Steps of length h from t0, split at jumps. A pytree: other numbers do not recompile.
 
     Step k begins at $t0 + (k - a) h$, with a the number of steps that jumps have added before it, or at a jump. A jump
-    that lies at the end of an equal step replaces that end, so that derivatives with respect to its time are right.
+    at the end of an equal step replaces that end, so that derivatives with respect to its time are correct.
     """
 
     t0: Any
@@ -79,7 +79,7 @@ class Grid(NamedTuple):
     def attempt(self, stepper: Stepper, k: jax.Array, state: tuple[Any, Any, Any]) -> StepAttempt:
         """Step k from a stored state, with what the method carries, and slopes where the step is sampled.
 
-        The loop takes it, and kernels are made of it.
+        The loop executes it, and kernels are compiled from it.
         """
         (t, h), (y, carry, slopes) = self.step(k), state
         return stepper.follow(t, y, carry, h, slopes is not None)
@@ -97,7 +97,7 @@ class Grid(NamedTuple):
 def splits_of(limits: Any, t0: Any, h: Any, steps: int) -> tuple[Splits | None, Any]:
     """The splits of equal steps at sorted times inside of [t0, t0 + steps h], and how many steps they add.
 
-    Times at the ends of the whole split nothing. None where there are no times.
+    Times at the ends of the whole span split no step. The result is None if there are no times.
     """
     if not np.size(limits):
         return None, 0
@@ -125,7 +125,9 @@ def splits_of(limits: Any, t0: Any, h: Any, steps: int) -> tuple[Splits | None, 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Saves:
-    """Saved times: each lies `share` of an equal step after step `index` begins, unless that begins at a jump."""
+    """Saved times: each lies at the fraction `share` of an equal step after the start of step `index`, unless that
+    starts at a jump.
+    """
 
     ts: Any  # (n,) the times
     index: Any  # (n,) whole steps before each
@@ -339,7 +341,7 @@ class FixedSteps(Steps):
 def equal_steps(
     start: Any, end: Any, span: Any, options: Any, limits: Any, bounded: bool, events: Any
 ) -> tuple[FixedSteps, int]:
-    """Equal steps from start to end: as many as fit by dt, rounded, at least one; or `steps`. And their number.
+    """Equal steps from start to end, and their number: (end - start) / dt rounded, at least one; or `steps`.
 
     All times are those of the clock of the loop over steps, which goes forward.
 
@@ -353,12 +355,12 @@ def equal_steps(
     """
     dt, steps, dtype = options.dt, options.steps, start.dtype
     if (dt is None) == (steps is None):
-        raise InputError("give either dt, the length of a step, or steps, their number; or rtol for adaptive steps")
+        raise InputError("pass one of dt (the length of a step), steps (the number of steps), or rtol (adaptive steps)")
     if steps is None:
         if span is None or is_traced(dt):
             raise InputError(
                 "t0, t1 or dt is traced (inside jit, grad or vmap), so the number of steps is not known.\n"
-                "  fix: give steps=<whole number> instead of dt; the step is then (t1 - t0) / steps"
+                "  fix: pass steps=<whole number> instead of dt; the step is then (t1 - t0) / steps"
             )
         length = span[1] - span[0]
         steps = max(1, round(_countable(length / float(dt)))) if length else 0
@@ -381,6 +383,6 @@ def _countable(steps: Any) -> Any:
     if steps > most:
         raise InputError(
             f"{short(steps)} steps are more than the {most} that can be counted.\n"
-            '  fix: longer steps; without them jax.config.update("jax_enable_x64", True) counts to 9e18'
+            '  fix: use longer steps, or jax.config.update("jax_enable_x64", True) counts to 9e18'
         )
     return steps

@@ -1,6 +1,7 @@
-"""Kernels of the loop over steps, and of single steps for derivatives, if the backend of the system makes any.
+"""Kernels of the loop over steps, and of single steps for derivatives, for backends of the system that provide kernels.
 
-Each is compiled once for a structure and types of its inputs, and cached with the system; None where there is none.
+Each kernel is compiled once for the structure and types of its inputs, and cached with the system; None if there is no
+kernel.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ class _Unpacked:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Packed:
-    """A pytree in one array: XLA would compile separate code for each of many scalars."""
+    """A pytree packed in one array, because XLA would compile separate code for each of many scalars."""
 
     flat: Any  # an array; JAX rebuilds pytrees with stand-ins for arrays
     read: Callable[[jax.Array], Any] = dataclasses.field(metadata={"static": True})
@@ -155,11 +156,11 @@ def kernel_tries(
     """A loop over now = one_try(inputs, stepper, now) in one kernel.
 
     It takes the carry, the number of the first try, the stop, and the saved rows to fill, or None. Traceable, batched
-    by vmap, not differentiable. Integers are carried as floating-point numbers.
+    by vmap, not differentiable. Integers are represented by floating-point numbers.
 
     Args:
-        one_try: also returns whether another try follows, and the record that rows are made from, which begins with the
-            time reached; None if the method has no rows. It depends on the structure of its inputs alone.
+        one_try: also returns whether another try follows, and the record from which rows are computed, which begins
+            with the time reached; None if the method has no rows. It depends only on the structure of its inputs.
         row: makes a row from the record of a try and a time up to that of the record.
         state_of: the part of the carry that must not be too wide for a kernel.
     """
@@ -206,7 +207,7 @@ def kernel_tries(
 def shared_kernel(function: Callable[..., Result], of: Any, stepper: Stepper, *rest: Any) -> Result:
     """function(of, stepper, *rest), outside of the kernel of a loop, as one kernel for all places that call it.
 
-    XLA would compile it for each place. Where there is no kernel it is one small function.
+    XLA would compile it at each place. Without a kernel it is one small function.
 
     Args:
         function: hashable and traceable; it depends on the structure of its arguments alone.
@@ -247,7 +248,9 @@ def _shared_program(function: Callable[..., Any], of: Any, stepper: Stepper, res
 
 
 def advance_again(stepper: Stepper, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
-    """`stepper.advance`, for loops that are differentiated: a program is compiled faster, and runs as one function."""
+    """The method `advance` of a stepper for loops that are differentiated: it compiles faster as a program, and runs as
+    one function.
+    """
     program = _step_again(stepper, t, y, h)
     if program is None:
         return stepper.advance(t, y, h)
@@ -274,7 +277,7 @@ def _step_again(stepper: Stepper, *arguments: Any) -> Differentiable | None:
 def scan_again(
     stepper: Stepper, y: Blocks, entries: tuple[jax.Array, Any], count: jax.Array, record: bool
 ) -> tuple[Blocks, Blocks | None] | None:
-    """Several steps on matrices in a row as one kernel, whose reverse pass is one too; None: there is none.
+    """Several successive steps on matrices as one kernel, whose reverse pass is a kernel too; None if there is none.
 
     Args:
         entries: the numbers of the steps and their parts; those from `count` on change nothing.

@@ -1,4 +1,4 @@
-"""The loop over steps, one for fixed steps and for steps chosen by tolerances: stops, saved times, events, progress."""
+"""The loop over steps, for fixed and adaptive steps: stops, saved times, events, progress."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Visits(NamedTuple):
 class Steps(ABC):
     """The steps of an integration, and the loop that takes them.
 
-    Subclasses choose the length of steps. A pytree: times and tolerances are inputs, rules and bounds are structure.
+    Subclasses determine the length of steps. A pytree: times and tolerances are inputs, rules and bounds are structure.
     The carry of the loop is a dataclass of the subclass with the fields `y`, `code` and `event_state`.
     """
 
@@ -54,7 +54,9 @@ class Steps(ABC):
     # ---- the loop ----------------------------------------------------------------------------------------------------
 
     def run(self, stepper: Stepper, y: Blocks, record: bool) -> Run:
-        """Take all steps; `record` keeps the path, for a known bound. Traceable, not differentiable in reverse."""
+        """Take all steps; `record` also stores the path, if a bound of the number of steps is known. Traceable, not
+        differentiable in reverse mode.
+        """
         inputs = self.inputs(y)
         state, saved = small_call(lambda steps, *rest: steps.all_steps(*rest, record), self, stepper, inputs)
         return self.result(state, saved)
@@ -181,7 +183,7 @@ class Steps(ABC):
         """(n,) the saved times; differentiable."""
 
     def errors_by_state(self, stepper: Stepper, t: jax.Array, h: jax.Array, x: Arrays) -> dict[str, jax.Array]:
-        """The largest error of each state in a step from x, in units of what is allowed; empty where none is known.
+        """The largest error of each state in a step from x, in units of the allowed error; empty if unknown.
 
         Traceable.
         """
@@ -234,7 +236,7 @@ def zeros_like(function: Any) -> Any:
 
 
 def all_finite(tree: Any) -> jax.Array:
-    """Whether every entry is finite. One reduction: XLA would compute a chain of tests again at every reader."""
+    """Whether every entry is finite, as one reduction: XLA would compute a chain of tests again at every use."""
     return jnp.isfinite(ravel_pytree(tree)[0]).all()
 
 
@@ -283,7 +285,7 @@ class StepStart(NamedTuple):
 def rows_from(stepper: Stepper, read: Read) -> Callable[[Any, jax.Array], jax.Array]:
     """A function of a step's record and a time that makes the saved row.
 
-    It reads no arrays of the stepper, which may be traced.
+    The function reads no arrays of the stepper, because these may be traced.
     """
     return lambda step, t: step.row(stepper, read, t)
 

@@ -1,4 +1,4 @@
-"""Results of the loop over steps, and of an integration."""
+"""Result codes of the loop over steps, and of an integration."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Result(enum.IntEnum):
 
     @property
     def sentence(self) -> str:
-        """The result in plain words."""
+        """A sentence that describes the result."""
         return _SENTENCES[self]
 
     def __str__(self) -> str:

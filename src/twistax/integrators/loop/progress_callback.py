@@ -1,4 +1,4 @@
-"""Calls of a progress callback while an integration runs. Without one, programs have no trace of it."""
+"""Calls of a progress callback during an integration. Without a callback, programs contain no trace of it."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def _call_back(number: Any, t: Any, share: Any) -> None:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class ProgressCalls:
-    """Calls the progress callback in a loop over steps. A pytree: another callback compiles nothing."""
+    """Calls the progress callback in a loop over steps. A pytree: another callback does not recompile."""
 
     number: Any
 
@@ -53,8 +53,8 @@ class ProgressCalls:
         """steps_to(now, stop) in parts of some steps, with a call of the callback after each.
 
         Args:
-            at: of what is carried the number of steps, the time, and the completed fraction to the end; the number is
-                `stop` or more where it halted.
+            at: a function from the carry to the number of steps, the time, and the completed fraction of the span; the
+                number is at least `stop` if the loop halted.
         """
 
         def one(now: Now) -> Now:
@@ -80,7 +80,7 @@ def callback_of(progress: Any) -> ProgressCallback | None:
 
 @contextlib.contextmanager
 def calling_back(callback: ProgressCallback) -> Iterator[ProgressCalls]:
-    """Progress calls for the loops inside. An exception of the callback is raised at the end."""
+    """A context in which loops call the progress callback. An exception of the callback is raised at the end."""
     number, raised, line = next(_NUMBERS), list[Exception](), getattr(callback, "__self__", None)
     _CALLBACKS[number] = callback, raised
     try:

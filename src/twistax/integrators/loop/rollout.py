@@ -42,11 +42,11 @@ class RolloutResult:
 
 
 def rollout(steps: Steps, stepper: Stepper, x: dict[str, Any]) -> RolloutResult:
-    """Take all steps from the state x, compiled as one small function where that is known to work.
+    """Take all steps from the state x, compiled as one small function if this is supported.
 
-    Its derivatives, of any order, forward and in reverse, take the same steps again with bounded memory. Lengths of
-    adaptive steps stay the same shares of the time between limits, so that derivatives with respect to all times are
-    right.
+    Its derivatives, of any order, in forward and reverse mode, repeat the same steps with bounded memory. The lengths
+    of adaptive steps remain constant fractions of the time between limits, so that derivatives with respect to all
+    times are correct.
     """
     return unpacked(jitted(packed_rollout, stepper, steps, x))
 
@@ -66,7 +66,7 @@ def packed_rollout() -> Callable[[Stepper, Steps, Arrays], tuple[Any, ...]]:
 
 
 def unpacked(values: tuple[Any, ...]) -> RolloutResult:
-    """The result of a `packed_rollout`, its outcome in numbers of NumPy where they are known."""
+    """The result of a `packed_rollout`, with its outcome as NumPy numbers if these are known."""
     xs, end, reached, outcome, *rest = values
     array: Any = jnp if is_traced(outcome) else np
     counts, times = map(array.asarray, outcome)

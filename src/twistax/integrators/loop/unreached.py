@@ -1,4 +1,4 @@
-"""NaN, in values and derivatives, for states that an integration did not reach."""
+"""NaN values and derivatives for states that an integration did not reach."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ Tree = TypeVar("Tree")
 
 
 def nan_unless(good: jax.Array, tree: Tree) -> Tree:
-    """The arrays where they are good, else NaN, in values and in derivatives (`jnp.where` would give zero derivatives).
+    """The arrays if they are good, else NaN, in values and derivatives (`jnp.where` would have zero derivatives).
 
-    In reverse the derivative with respect to what does not count, such as rows that a loss leaves out, stays zero.
-    Traceable, differentiable to any order.
+    In reverse mode the derivative with respect to values that do not count, such as rows that a loss ignores, remains
+    zero. Traceable, differentiable to any order.
 
     Args:
         good: a truth value, or one for each row of all arrays.
@@ -41,6 +41,8 @@ def nan_unless(good: jax.Array, tree: Tree) -> Tree:
 
 
 def zero_of(tree: object) -> jax.Array:
-    """Zero as a linear function of all floating-point arrays: in reverse NaN reaches each of them."""
+    """Zero as a linear function of all floating-point arrays, such that NaN propagates to each
+    of them in reverse mode.
+    """
     parts = [0.0 * a.sum() for a in jax.tree.leaves(tree)]
     return functools.reduce(jnp.add, parts)

@@ -1,4 +1,4 @@
-"""Commutator-free methods: every stage is reached by a few exponentials in a row, and nothing is pulled back."""
+"""Commutator-free methods: every stage is a product of a few exponentials, without an inverse Jacobian."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class CommutatorFreeTableau(Coefficients):
         a: the exponentials of every stage, none for the first; each is a row of weights of earlier stages, where
             trailing zeros may be omitted.
         b: the exponentials of the step, likewise.
-        c: (s,) the nodes, which are the sums of a.
+        c: (s,) the nodes; they equal the row sums of a.
         underlying: the equivalent Runge-Kutta method for states without a group.
 
     Raises:
@@ -83,7 +83,10 @@ class CommutatorFreeTableau(Coefficients):
             if not any(row):
                 raise self._error(f"{field} has an exponential whose weights are all zero")
             if len(row) > known:
-                raise self._error(f"{field} weighs {len(row)} slopes where {known} are known: it would be implicit")
+                raise self._error(
+                    f"{field} has {len(row)} weights, but only {known} earlier slopes exist: the method "
+                    "would be implicit"
+                )
         return read
 
 
@@ -99,9 +102,10 @@ CF4 = CommutatorFreeTableau(
 
 @dataclasses.dataclass(frozen=True)
 class CommutatorFree(Method):
-    """A commutator-free method, for every system. It has more exponentials than `RKMK` and no inverse Jacobian.
+    """A commutator-free method, for all systems. Compared with `RKMK`, it has more exponentials and no inverse
+    Jacobian.
 
-    States without a group use the underlying Runge-Kutta method. An exponential of more than half a turn
+    States without a group use the underlying Runge-Kutta method. An exponential that rotates by more than half a turn
     fails, as in `RKMK`.
 
     Attributes:

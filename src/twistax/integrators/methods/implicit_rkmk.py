@@ -105,7 +105,7 @@ class ImplicitRKMK(ChartMethod):
 
     @property
     def evaluations(self) -> int:
-        """With three Newton steps."""
+        """Evaluations of a step with three Newton iterations."""
         return 1 + 3 * self.tableau.stages
 
     solves = True

@@ -20,18 +20,18 @@ _UNREAD = 1e-6
 class Between(enum.Enum):
     """The method of `tx.integrate` for states at saved times inside a step."""
 
-    #: By one shorter step of the same method: as accurate as the ends, at the cost of a step for each saved time.
+    #: One shorter step of the same method: as accurate as the ends of steps, at the cost of a step for each saved time.
     STEP = "a shorter step"
-    #: By a polynomial through the slopes of the step, in the coordinates around its start: rotations stay in their
-    #: group, no rate is evaluated, and the order is that of `interpolant`.
+    #: A polynomial through the slopes of the step, in the coordinates around its start: rotations stay in their group,
+    #: no rate is evaluated, and the order is that of `interpolant`.
     POLYNOMIAL = "a polynomial"
 
 
 class Interpolant(NamedTuple):
-    """The state at a share x of a step of length h: coordinates h sum_i b_i(x) k_i, with b_i(x) = sum_j w_ij x^j.
+    """The state at a fraction x of a step of length h: coordinates h sum_i b_i(x) k_i, with b_i(x) = sum_j w_ij x^j.
 
     Attributes:
-        order: as in the order of a method: the error is of the power order + 1 of the step.
+        order: the order in the sense of a method: the error is of the power order + 1 of the step.
         weights: (s, order), w_ij for j = 1, 2, ...; the stages are those of `to_the_end`.
     """
 
@@ -41,11 +41,11 @@ class Interpolant(NamedTuple):
 
 @functools.cache
 def interpolant(tableau: ButcherTableau) -> Interpolant:
-    """The polynomial of highest order that the slopes of a step allow, once continuously differentiable across steps.
+    """The polynomial of highest order that the slopes of a step permit, with a continuous derivative across steps.
 
-    With Phi_i(t) the elementary weights of a rooted tree t, |t| its nodes and gamma(t) its density, the order is p if
-    sum_i b_i(x) Phi_i(t) = x^|t| / gamma(t) for all trees of at most p nodes. Slope and value at both ends are those of
-    the step. These are linear equations for w; of all solutions it is the one with the smallest sum of squares.
+    Let Phi_i(t) be the elementary weights of a rooted tree t, |t| its number of nodes and gamma(t) its density. The
+    order is p if sum_i b_i(x) Phi_i(t) = x^|t| / gamma(t) for all trees with at most p nodes. Slope and value at both
+    ends are those of the step. These are linear equations for w; the solution with the smallest sum of squares is used.
 
     Source: Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I (1993), section II.6, theorem 6.1.
     """

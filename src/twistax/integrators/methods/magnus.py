@@ -1,4 +1,4 @@
-"""Magnus methods: one exponential a step, for body velocities that are functions of time but not of the pose."""
+"""Magnus methods: one exponential per step, for body velocities that depend on time but not on the pose."""
 
 from __future__ import annotations
 
@@ -50,9 +50,9 @@ _EXPANSIONS = {4: (2, _fourth, RK4), 6: (3, _sixth, DOP853)}
 class Magnus(Method):
     """The Magnus method of order 4 or 6, exact for constant velocities, with one exponential a step.
 
-    It requires that no rate depends on a rotation or a pose: attitude from measured rates, prescribed twists, free
-    bodies. Rates may depend on time, controls, parameters and states without a group, which an explicit Runge-Kutta
-    method integrates from one Gauss node to the next. A step of more than a full turn fails.
+    It requires that no rate depends on a rotation or a pose. Examples are attitude from measured rates, prescribed
+    twists and free bodies. Rates may depend on time, controls, parameters and states without a group, which an explicit
+    Runge-Kutta method integrates from one Gauss node to the next. A step that rotates by more than a full turn fails.
 
     Attributes:
         order: 4 or 6.
@@ -82,7 +82,7 @@ class Magnus(Method):
 
     @property
     def evaluations(self) -> int:
-        """Those of a system whose velocities read no states without a group."""
+        """The evaluations for a system whose velocities do not depend on states without a group."""
         return _EXPANSIONS[self.order][0]
 
     def evaluations_of(self, dynamics: Dynamics) -> int:
@@ -106,7 +106,7 @@ class Magnus(Method):
                 raise ModelError(
                     f"{self.name} needs rates that do not depend on rotations and poses, but the rate of "
                     f"{state.name!r} reads {', '.join(map(repr, read))}.\n"
-                    "  fix: use tx.RKMK(tx.tableaus.RK4) or another tableau, which take every system"
+                    "  fix: use tx.RKMK(tx.tableaus.RK4) or another tableau, which integrate every system"
                 )
 
     def coordinates(self, dynamics: Dynamics) -> StateCoordinates:
@@ -117,7 +117,9 @@ class Magnus(Method):
         return local.settle(local.move(y, self._moves(field, t, y, h)))
 
     def increment(self, field: VectorField, t: jax.Array, x: Arrays, h: jax.Array) -> Arrays:
-        """The tangent eta of one step, so that the step ends at x Exp(eta): Omega, and what is added to the others."""
+        """The tangent eta of one step, so that the step ends at x Exp(eta): Omega for rotations and poses, and the
+        increments of other states.
+        """
         local = self.coordinates(field.dynamics)
         return local.tangent(self._moves(field, t, local.enter(x), h))
 

@@ -1,4 +1,4 @@
-"""Newton's method with a Jacobian that is reused, and its linear solves without a library."""
+"""Newton's method with a reused Jacobian, and linear solves without a library."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ class Newton(NamedTuple):
 def newton(
     update: Map, size: Map, guess: jax.Array, contraction: jax.Array, most: int, again: bool, rounding: Any
 ) -> Newton:
-    """Z <- Z - update(Z) from a guess, until the scaled correction is below 1. Pure and traceable.
+    """The iteration Z <- Z - update(Z) from a guess, until the scaled correction is below 1. Pure and traceable.
 
-    It ends early where updates grow, are not finite, or `most` are made. Updates that stop falling while they are below
-    1e3 times `rounding` are solved as well as can be. `size` is that of an update in units of what is asked for,
-    `contraction` what the last solution was left with. `again`: there is no shorter step to try. Then updates that
-    only waver, at most at the root of round-off, are accepted; and where the guess leads nowhere, Newton's method
-    starts once more, from zero.
+    It ends early if updates grow, are not finite, or `most` updates have been made. If updates stop decreasing below
+    1e3 times `rounding`, the equations count as solved. `size` is the size of an update in units of the tolerance,
+    `contraction` the contraction factor of the last solution. `again`: whether no shorter step can be tried. Then
+    updates that oscillate below the root of round-off are accepted, and if the guess fails, Newton's method starts once
+    more from zero.
 
     Source: Hairer, Wanner, Solving Ordinary Differential Equations II (1996), section IV.8, on stopping.
     """
@@ -82,7 +82,7 @@ def newton(
 
 
 def combined(weights: Any, rows: Sequence[jax.Array]) -> list[jax.Array]:
-    """weights @ rows as sums: a product of matrices may call a library."""
+    """The product weights @ rows as sums, because a matrix product may call a library."""
     return [functools.reduce(jnp.add, [float(w) * row for w, row in zip(line, rows, strict=True)]) for line in weights]
 
 
@@ -110,7 +110,7 @@ class Factors:
         return (*((empty,) for _ in tableau.real), *((empty, empty) for _ in tableau.pairs))
 
     def solve(self, R: jax.Array) -> jax.Array:
-        """X (s, N)."""
+        """The solution X (s, N)."""
         rows = combined(self.tableau.untransform, list(R))
         count = len(self.real)
         solution = [applied(inverse_, (row,))[0] for inverse_, row in zip(self.real, rows[:count], strict=True)]
@@ -121,14 +121,14 @@ class Factors:
         return jnp.stack(combined(self.tableau.transform, solution))
 
     def reach(self, sizes: jax.Array) -> jax.Array:
-        """A rough bound on the result of `solve` for entries of these sizes."""
+        """A rough bound of the result of `solve` for entries of these sizes."""
         parts = [jnp.sum(jnp.abs(part) * sizes[None, :], axis=1) for part in (self.real or self.pairs)[0]]
         return functools.reduce(jnp.add, parts)
 
     def damped(self, e: jax.Array) -> jax.Array:
-        """An error estimate with stiff components damped: e for small h J, of the order of e / |h J|^2 for large h J.
+        """An error estimate with damped stiff components: e for small h J, of the order of e / |h J|^2 for large h J.
 
-        Two solves with I - g0 h J; without a real eigenvalue one with (I - h J / mu) (I - h J / conj(mu)).
+        It takes two solves with I - g0 h J; without a real eigenvalue, one with (I - h J / mu) (I - h J / conj(mu)).
         """
         if self.real:
             mu = self.tableau.real[0]
@@ -140,10 +140,10 @@ class Factors:
 
 
 def inverse(matrix: Parts) -> Parts:
-    """The inverse of a square matrix, by Gauss-Jordan elimination with partial pivoting; NaN of a singular one.
+    """The inverse of a square matrix, by Gauss-Jordan elimination with partial pivoting; NaN for a singular matrix.
 
-    An inverse, not factors: products with it are loops over independent numbers, while substitution is a chain. It is
-    about as accurate where it serves Newton's method, which looks at residuals.
+    An inverse is used in place of factors, because products with it are loops over independent numbers, while
+    substitution is sequential. For Newton's method, which evaluates residuals, it is about as accurate.
 
     Source: Golub, Van Loan, Matrix Computations (2013), sections 3.4 and 3.5.
     """

@@ -1,4 +1,4 @@
-"""Steps that end on the manifold of a system: any method, with the system's corrections after every step."""
+"""Steps that end on the manifold of a system: any method, followed by the system's corrections after every step."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ def _of_inner(method: str) -> Callable[..., Any]:
 
 @dataclasses.dataclass(frozen=True)
 class Projected(Method):
-    """A method with a projection to the manifold of the system after every step. `tx.integrate` makes it if there is a
-    manifold.
+    """A method with a projection onto the manifold of the system after every step. `tx.integrate` makes it for systems
+    with corrections.
 
     Attributes:
         inner: the method that takes the steps.
@@ -78,7 +78,7 @@ class Projected(Method):
 
     def need_polynomial(self) -> None:
         raise ModelError(
-            "polynomials leave the manifold that the system's corrections bring it back to.\n  fix: leave between out"
+            "polynomials between steps leave the manifold of the system's corrections.\n  fix: leave between out"
         )
 
     def _brought_back(self, field: VectorField, t: jax.Array, y: Blocks) -> Blocks:
@@ -106,6 +106,6 @@ def need_start_on_manifold(dynamics: Dynamics, inputs: Inputs) -> None:
     far = max(_FAR, 1e3 * float(jnp.finfo(inputs.dtype).eps))
     if not off <= far:
         raise InputError(
-            f"x0 is off the manifold of the system by {off:.3g}, where {far:.0e} is allowed: loops are open, or the "
-            "velocities open them.\n  fix: x0 = dynamics.project(0.0, x0)"
+            f"the distance of x0 from the manifold of the system is {off:.3g}, but at most {far:.0e} is "
+            "allowed: loops are open, or the velocities open them.\n  fix: use x0 = dynamics.project(0.0, x0)"
         )

@@ -1,4 +1,6 @@
-"""Runge-Kutta-Munthe-Kaas: a Runge-Kutta method in coordinates around the start of each step, and the stage loop."""
+"""Runge-Kutta-Munthe-Kaas methods: Runge-Kutta methods in coordinates around the start of each step, and the loop over
+stages.
+"""
 
 from __future__ import annotations
 
@@ -60,8 +62,8 @@ class RKMK(ChartMethod):
     def advance(self, field: VectorField, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
         """The stored state after one step of length h. Pure and traceable.
 
-        Rounding takes rotations out of their group, linearly in the number of steps where the twist is constant;
-        settling once a step keeps them at round-off.
+        Round-off takes rotations out of their group, linearly in the number of steps if the twist is constant; the
+        correction in each step keeps the error at round-off.
         """
         local = self.coordinates(field.dynamics)
 
@@ -74,7 +76,7 @@ class RKMK(ChartMethod):
         return local.settle(local.move(y, slopes.combine(self.tableau.b, h)))
 
     def sampled(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> StepAttempt:
-        """The step of `advance`, and the rate at its end, which the polynomial between its ends reads too."""
+        """The step of `advance`, with the rate at its end, which the polynomial between its ends also uses."""
         slopes, (moved, _), count = self._to_the_end(field, t, y, self.rate(field, t, y), h)
         end = self.coordinates(field.dynamics).settle(moved)
         return StepAttempt(end, carry, (), count, slopes=jax.vmap(slopes.read)(slopes.rows))
@@ -82,7 +84,7 @@ class RKMK(ChartMethod):
     def attempt(
         self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array, tolerances: Tolerances
     ) -> StepAttempt:
-        """A step whose last stage is its end, so that the rate there, which it carries, serves the next step too."""
+        """A step whose last stage is its end, so the next step reuses the rate there."""
         tableau = self.tableau
         slopes, (moved, rate), count = self._to_the_end(field, t, y, carry, h)
         embedded = [w for w in (tableau.b_embedded, tableau.b_second_embedded) if w is not None]
@@ -121,17 +123,18 @@ class RKMK(ChartMethod):
     def increment(self, field: VectorField, t: jax.Array, x: Arrays, h: jax.Array) -> Arrays:
         """The tangent eta of one step, so that the step ends at x (+) eta = x Exp(eta).
 
-        With Omega(t, x) the body velocities of all states, stage i stands at x Exp(eta_i) and
+        With Omega(t, x) the body velocities of all states, stage i is at x Exp(eta_i), with
 
             eta_i = h sum_j a_ij k_j,   k_i = J_r(eta_i)^-1 Omega(t + c_i h, x Exp(eta_i)),   eta = h sum_i b_i k_i,
 
-        because eta' = J_r(eta)^-1 Omega for g = g_0 Exp(eta) and g' = g Omega^, with J_r the right Jacobian, cut after
-        the chart's commutators. It is the step of `advance` on the values themselves, for derivatives.
+        because eta' = J_r(eta)^-1 Omega for g = g_0 Exp(eta) and g' = g Omega^, with J_r the right Jacobian, whose
+        series is truncated after the chart's commutators. It is the step of `advance` on the values themselves, for
+        derivatives.
 
         Returns:
             name -> tangent (dimension of the state,), of states without a group read row by row.
         Raises:
-            ModelError: a chart whose coordinates are no tangents.
+            ModelError: a chart whose coordinates are not tangents.
         """
         local, factors = self.coordinates(field.dynamics), field.dynamics.group.factors
 
@@ -155,9 +158,9 @@ class Slopes(NamedTuple):
     read: Callable[[jax.Array], Any]
 
     def combine(self, weights: Any, h: jax.Array) -> Any:
-        """h sum_i weights[i] k_i over the stages there are; stages beyond the weights count zero.
+        """The sum h sum_i weights[i] k_i over the existing stages; stages beyond the weights have weight zero.
 
-        Of several rows of weights a list of combinations.
+        For several rows of weights, a list of combinations.
         """
         table = np.zeros((*np.shape(weights)[:-1], len(self.rows)))
         known = np.asarray(weights)[..., : len(self.rows)]
@@ -177,10 +180,10 @@ def stage_slopes(
 ) -> tuple[Slopes, Extra]:
     """k_1, k_2, ... with k_i = slope(t + c_i h, h sum_j a_ij k_j) and k_1 = first, by a loop over the stages.
 
-    The loop is traced once whatever the tableau: a step of thirteen stages compiles as fast as one of four, and as one
-    small function it runs as fast as unrolled. Pure and traceable, and differentiable both ways. Where a has a list of
-    rows for every stage, `slope` takes the list of combinations. It also returns further data of the stage, of which
-    those of the last stage are returned; `extra` are those of the first one.
+    The loop is traced once for any tableau: a step of thirteen stages compiles as fast as one of four, and as one small
+    function it runs as fast as unrolled code. Pure and traceable, and differentiable in both modes. If `a` has a list
+    of rows for every stage, `slope` takes the list of combinations. It also returns additional data of the stage, of
+    which those of the last stage are returned; `extra` are the data of the first one.
     """
     start, read = ravel_pytree(first)
     a, c = (np.asarray(table) for table in stages)

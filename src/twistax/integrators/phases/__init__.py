@@ -1,3 +1,3 @@
-"""Integration of phases, one after another."""
+"""Integration of successive phases."""
 
 from .integrate_phases import Phase, integrate_phases

@@ -1,4 +1,4 @@
-"""Integration of phases: systems one after another, joined where events or times end them."""
+"""Integration of successive phases: systems that are connected where events or times end them."""
 
 from __future__ import annotations
 
@@ -34,17 +34,19 @@ from .phased_solution import PhasedSolution
 class Phase(StepOptions):
     """One phase of a flight: `tx.integrate_phases([tx.Phase(...), tx.Phase(...)], x0, ...)`.
 
-    Phases with one system and equal options compile once, whatever their parameters, durations and initial states.
+    Phases with the same system and equal options compile once, for all parameters, durations and initial states.
 
     Args:
         dynamics: a compiled system.
-        duration: of the phase, s; with an event, the longest duration.
+        duration: duration of the phase, s; with an event, the longest duration.
         t1: the end time, or with an event the latest end time, s, in place of `duration`.
         event: a `tx.Event`, or a list of them, whose first root ends the phase. Without an event the phase ends by
             time. A phase whose event does not occur fails.
-        params: values of parameters in this phase, which override those of the call.
-        u: the controls of this phase, in place of those of the call; tables use the time of the whole flight.
-        jumps, dt, steps, rtol, atol, method, control: as for `tx.integrate`, in place of those of the call.
+        params: values of parameters in this phase, which override those passed to `integrate_phases`.
+        u: the controls of this phase, in place of those passed to `integrate_phases`; tables use the time since the
+            start of the first phase.
+        jumps, dt, steps, rtol, atol, method, control: as for `tx.integrate`, in place of those passed to
+            `integrate_phases`.
         name: its name in results and messages; "phase 0", "phase 1", ... by default.
 
     Raises:
@@ -71,11 +73,11 @@ class PhasesOptions(FlightOptions):
 
 @with_options(PhasesOptions)
 def integrate_phases(phases: Sequence[Phase], x0: Mapping[str, Any], options: PhasesOptions) -> PhasedSolution:
-    """Integrate phases one after another: a stage separates, a ball bounces, a parachute opens.
+    """Integrate successive phases: a stage separates, a ball bounces, a parachute opens.
 
     Time continues from phase to phase. States of the same name and kind continue too, except for those in `links`.
-    Derivatives include the switches: the time of an event depends on the inputs, and so does the
-    start of the next phase.
+    Derivatives take the transitions into account: the time of an event depends on the inputs, and so does the start of
+    the next phase.
 
     Args:
         phases: one or more `tx.Phase`, with the same or with different systems.
@@ -85,21 +87,21 @@ def integrate_phases(phases: Sequence[Phase], x0: Mapping[str, Any], options: Ph
             f(t, x, params) that returns such a dict; or None. Values on a group are elements of it.
         t0: the start of the first phase in s.
         dt, steps, rtol, atol, method, control, between, dense: as for `tx.integrate`, for every phase.
-        u: the controls of every phase: a dict, of which each phase takes those it has, or a function of t.
+        u: the controls of every phase: a dict from which each phase uses its own controls, or a function of t.
         params: parameter values of all phases and links, by name.
         save_at: sorted times, s. Times before the start raise an error, times after the end are ignored. By default the
             ends of phases are saved.
-        throw: raise an error when a phase fails or its event does not occur. Otherwise the phases before the failure
-            are returned, with `result`.
+        throw: whether to raise an error if a phase fails or its event does not occur. Otherwise the phases before the
+            failure are returned, with `result`.
         progress: as for `tx.integrate`; each phase counts as an equal fraction.
 
     Returns:
-        `PhasedSolution`: a `Solution` for each phase, and their common names as one solution. Where arguments are
-        traced, states that were not reached are NaN.
+        `PhasedSolution`: a `Solution` for each phase, and their common states as one solution. If arguments are traced,
+            states that were not reached are NaN.
 
     Raises:
         InputError, ModelError: the errors of `tx.integrate`, with the name of the phase; a parameter that no phase has.
-        IntegrationError: a phase failed, or its event did not occur. Names the phase, by number and name.
+        IntegrationError: a phase failed, or its event did not occur. The message names the phase, by number and name.
     """
     return _Flight(phases, options).flown(x0)
 
@@ -221,7 +223,9 @@ def _checked(
     """The link of every join, after all checks that are possible before an integration."""
     count = len(phases) - 1
     if links is not None and (not isinstance(links, (list, tuple)) or len(links) != count):
-        raise ModelError(f"links expects a list of {count}, one for each join of two phases, got {short(links)}")
+        raise ModelError(
+            f"links expects a list of length {count}, one entry for each transition between phases, got {short(links)}"
+        )
     joins: list[Link] = list(links or [None] * count)
     for phase, label in zip(phases, labels, strict=True):
         with in_phase(label):
@@ -229,8 +233,7 @@ def _checked(
             if (phase.duration is None) == (phase.t1 is None):
                 what = "neither" if phase.t1 is None else "both"
                 raise InputError(
-                    f"a phase expects duration or t1, got {what}.\n"
-                    "  fix: with an event, duration is how long to wait for it at most"
+                    f"a phase expects duration or t1, got {what}.\n  fix: with an event, pass the longest duration"
                 )
             for what, values in (("duration", phase.duration), ("t1", phase.t1)):
                 same_unit(what, values, seconds)
@@ -266,7 +269,7 @@ def _limit(phase: Phase, t: Any) -> Any:
     if float(end) < float(t):
         raise InputError(
             f"the phase ends at {float(end):g}, before its start at {float(t):g}.\n"
-            "  fix: phases go forward in time; tx.integrate alone goes backward"
+            "  fix: phases must go forward in time; only tx.integrate can go backward"
         )
     return end
 
@@ -292,9 +295,9 @@ def _checked_end(solution: Solution, limit: Any, throw: bool) -> Solution:
     if throw:
         sizes = ", ".join(f"|{k}| = {np.abs(np.asarray(v[-1])).max(initial=0.0):.3g}" for k, v in solution.xs.items())
         raise IntegrationError(
-            f"no event was met up to t = {float(limit):.6g} s, where the phase ends at the latest.\n"
+            f"no event occurred before the latest end of the phase, t = {float(limit):.6g} s.\n"
             "  likely cause: the condition keeps its sign, or crosses zero in the other direction\n"
             f"  last state: {sizes} (largest entries)\n"
-            "  fix: a longer duration, or look at the event; throw=False keeps the solution up to here"
+            "  fix: use a longer duration, or check the event; throw=False returns the solution up to this time"
         )
     return dataclasses.replace(solution, code=Result.NO_EVENT.value)

@@ -1,4 +1,4 @@
-"""The start of a phase: the last states of the phase before, and jumps of some of them."""
+"""The start of a phase: the last states of the previous phase, and jumps of some of them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ def check_link(place: str, link: Link, before: Dynamics, after: Dynamics) -> set
     """The names of the parameters that a link reads, if they are known.
 
     Raises:
-        ModelError: it names no state of the next phase, or reads what the phase before does not have at its end.
+        ModelError: it names a state that the next phase does not have, or reads a leaf that the previous phase does not
+            have at its end.
         ShapeError: an expression of another shape.
     """
     last, parameters = {state.name: state for state in before.states}, set[str]()
@@ -40,8 +41,8 @@ def check_link(place: str, link: Link, before: Dynamics, after: Dynamics) -> set
         name, expr = state.name, link.get(state.name)
         if name not in link and (name not in last or last[name].key() != state.key()):
             raise ModelError(
-                f"{place} has no value for {name!r}, which the phase before does not have with that shape and group; "
-                f"it has: {listed(last, name)}.\n  fix: links=[..., {{{name!r}: ...}}, ...]"
+                f"{place} has no value for {name!r}, which the previous phase does not have with this "
+                f"shape and group; its states are: {listed(last, name)}.\n  fix: links=[..., {{{name!r}: ...}}, ...]"
             )
         if not isinstance(expr, Expr):
             continue
@@ -56,14 +57,15 @@ def check_link(place: str, link: Link, before: Dynamics, after: Dynamics) -> set
                 parameters.add(leaf.name)
             elif not known:
                 raise ModelError(
-                    f"{place}[{name!r}] reads {type(leaf).__name__} {leaf.name!r}, which the phase before does not "
-                    f"have at its end; it has: {listed(last, leaf.name)}, parameters that are not baked, and time"
+                    f"{place}[{name!r}] reads {type(leaf).__name__} {leaf.name!r}, which the previous "
+                    f"phase does not have at its end; available are: {listed(last, leaf.name)}, parameters "
+                    "that are not constants of the compiled system, and time"
                 )
     return parameters
 
 
 def by_name(place: str, link: Mapping[Any, Any], after: Dynamics) -> dict[str, Any]:
-    """The same by names of states. Raises ModelError for a name that the next phase does not have."""
+    """The values by names of states. Raises ModelError for a name that the next phase does not have."""
     states = [state.name for state in after.states]
     values = {name_of(key): value for key, value in link.items()}
     for name in values:
@@ -88,7 +90,7 @@ def linked(
     for state in after.states:
         name = state.name
         if name not in jumps and name not in x:
-            raise ModelError(f"{place} has no value for {name!r}, which the phase before does not have")
+            raise ModelError(f"{place} has no value for {name!r}, which the previous phase does not have")
         label = f"{place}[{name!r}]"
         start[name] = cast(label, real_array(label, jumps.get(name, x.get(name))), dtype, on_host=True)
     return start

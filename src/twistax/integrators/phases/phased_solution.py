@@ -1,4 +1,4 @@
-"""The result of an integration of phases: a solution for each, and what they have in common as one."""
+"""The result of an integration of phases: a solution for each phase, and their common states as one solution."""
 
 from __future__ import annotations
 
@@ -68,34 +68,34 @@ class PhasedSolution(AnySolution):
 
     @property
     def stats(self) -> Stats:
-        """Sums of the counts of all phases."""
+        """The sums of the counts of all phases."""
         return jax.tree.map(lambda *counts: sum(counts), *(phase.stats for phase in self.phases))
 
     @functools.cached_property
     def ts(self) -> jax.Array:
-        """(n,) the saved times up to the end, s; without save_at the final time alone."""
+        """(n,) the saved times up to the end, s; without save_at only the final time."""
         if self.save_at is None:
             return self.phases[-1].ts[..., -1:]
         return self.save_at if self.on_grid else jnp.asarray(np.asarray(self.save_at)[self._inside])
 
     @functools.cached_property
     def xs(self) -> Arrays:
-        """The states that all phases have, by name, at `ts`; at a link the state after the jump."""
+        """The states that all phases have, by name, at `ts`; at a transition, the state after the jump."""
         return self._joined(lambda phase: phase.xs)
 
     @functools.cached_property
     def us(self) -> Arrays:
-        """Controls that all phases have, by name, at `ts`."""
+        """The controls that all phases have, by name, at `ts`."""
         return self._joined(lambda phase: phase.us)
 
     @functools.cached_property
     def outputs(self) -> Arrays:
-        """Outputs that all phases have, by name, at `ts`. Raises InputError as those of a `Solution`."""
+        """The outputs that all phases have, by name, at `ts`. Raises the errors of `Solution.outputs`."""
         return self._joined(lambda phase: phase.outputs)
 
     def evaluate(self, t: Any) -> Arrays:
-        """The states that all phases have, at a time () or at times (n,); at a link the state after the jump. Needs
-        dense=True.
+        """The states that all phases have, at a time () or at times (n,); at a transition, the state after the jump.
+        Requires dense=True.
 
         Raises:
             InputError: there is no dense output; times outside of the integration.
@@ -115,11 +115,11 @@ class PhasedSolution(AnySolution):
 
     @watching("plot")
     def plot(self, *names: Any, units: Mapping[str, str] | None = None) -> Any:
-        """The states that all phases have over time, a matplotlib figure with gaps at the joins.
+        """A matplotlib figure of the states that all phases have, over time, with gaps between phases.
 
         Args:
             names: of the states and joints to draw; by default all states that the phases have in common.
-            units: of values by name, as of `Solution.plot`.
+            units: units of the drawn values by name, as in `Solution.plot`.
         Raises:
             InputError: a name that not all phases have; no saved times; a solution that is traced or of a batch.
             ModelError: matplotlib is not installed.

@@ -1,4 +1,4 @@
-"""Controls and outputs of a system along a solution, all saved times in one call."""
+"""Controls and outputs of a system along a solution, for all saved times in one call."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from ..times import room_for
 
 
 def controls_along(stepper: Stepper, ts: jax.Array) -> Arrays:
-    """The controls at times (n,), or (..., n) of a batch: values to the right of each time; at the end of a table those
-    to the left.
+    """The controls at times (n,), or (..., n) for a batch: the right-hand limit at each time; at the end of a table the
+    left-hand limit.
 
     They are differentiable with respect to the rows of tables.
     """
@@ -32,7 +32,9 @@ def controls_along(stepper: Stepper, ts: jax.Array) -> Arrays:
 
 
 def outputs_along(stepper: Stepper, ts: jax.Array, xs: Arrays) -> Arrays:
-    """The outputs at the states of a solution. Raises InputError where one reads what was not given."""
+    """The outputs at the states of a solution. Raises InputError if an output reads a control or parameter that was not
+    passed.
+    """
     functions = stepper.dynamics.functions
     read = functions.reads["outputs"]
     controls, params = getattr(stepper.signals, "values", None), dict(stepper.params)

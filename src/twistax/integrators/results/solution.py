@@ -1,4 +1,4 @@
-"""The solution of an integration: states, counts, the state at any time, and how it ended."""
+"""The solution of an integration: states, counts, dense output, and the status."""
 
 from __future__ import annotations
 
@@ -38,8 +38,9 @@ class Stats:
 
     Attributes:
         steps: steps tried, accepted and rejected together.
-        accepted, rejected: how many were kept and how many repeated with a smaller step.
-        rhs_evaluations: evaluations of the right-hand side, those for saved times between steps included.
+        accepted, rejected: the number of accepted steps, and of steps repeated with a smaller length.
+        rhs_evaluations: the number of evaluations of the right-hand side, including those for saved times between
+            steps.
     """
 
     steps: Any
@@ -88,8 +89,8 @@ class Crossings:
 class Dense(NamedTuple):
     """Dense output: the starts of all steps, and the stepper.
 
-    Between two of them the state is one shorter step of the same method, so it stays in its group and is as accurate as
-    the others; an interpolating polynomial would cost order and leave the group.
+    Between two starts, the state is computed by one shorter step of the same method, so it stays in its group and is as
+    accurate as the saved states. An interpolating polynomial would have a lower order and leave the group.
     """
 
     stepper: Stepper
@@ -114,13 +115,13 @@ def _between() -> Callable[[Stepper, Trail, jax.Array], Arrays]:
 
 
 class AnySolution(ABC):
-    """Base of `Solution` and `PhasedSolution`: the result code, and the table."""
+    """Base class of `Solution` and `PhasedSolution`: the result code, and the table export."""
 
     code: Any  # the number of a `Result`
 
     @property
     def result(self) -> Any:
-        """The `Result`; for traced or mapped solutions an array of codes, which compare with `Result`."""
+        """The `Result`; for traced or batched solutions an array of codes, which can be compared with `Result`."""
         unknown = is_traced(self.code) or np.ndim(self.code) > 0
         return self.code if unknown else Result(int(self.code))
 
@@ -129,9 +130,11 @@ class AnySolution(ABC):
         pass
 
     def to_csv(self, path: Any, layout: Any = None) -> None:
-        """Write a table of the saved times: a header of names with units, then a row for each time, with all digits.
+        """Write a CSV table of the saved times: a header of names with units, then a row for each time, with all
+        digits.
 
-        For phases it has the rows of all, with the number of the phase, and the columns that all of them have.
+        For several phases it has the rows of all phases, a column with the number of the phase, and the columns that
+        all phases have.
 
         Args:
             path: the file; an existing file is overwritten.
@@ -158,7 +161,7 @@ def need_one(what: str, solution: Solution) -> None:
     if is_traced((solution.ts, solution.xs)):
         raise InputError(
             f"{what} expects numbers, got a solution that is traced, as inside of jit, vmap and grad.\n"
-            "  fix: return the solution from the function, and take what comes back"
+            "  fix: return the solution from the function, and use the returned one"
         )
     if np.ndim(solution.ts) != 1:
         raise InputError(
@@ -168,7 +171,7 @@ def need_one(what: str, solution: Solution) -> None:
 
 
 def times_to_evaluate(t: Any, dtype: Any) -> jax.Array:
-    """Times at which a solution is asked for, in its precision. Raises InputError."""
+    """The times at which a solution is evaluated, in its precision. Raises InputError for invalid times."""
     same_unit("evaluate: t", t, seconds)
     return jnp.asarray(real_array("evaluate: t", t), dtype)
 
@@ -185,19 +188,19 @@ def need_within(ts: Any, start: Any, end: Any, span: str) -> None:
     outside = ~((times >= start - room) & (times <= end + room))
     if outside.any():
         wrong = float(times[int(np.argmax(outside))])
-        raise InputError(f"evaluate expects times in [{start:g}, {end:g}], {span}, got {wrong:g}")
+        raise InputError(f"evaluate expects times in [{start:g}, {end:g}] ({span}), got {wrong:g}")
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Solution(AnySolution):
-    """States at the saved times. A pytree, so that jit, vmap and derivatives of an integration apply.
+    """The states at the saved times. A pytree, so that jit, vmap and derivatives of an integration apply.
 
     Attributes:
-        ts: (n,) saved times in s; without save_at the final time alone.
+        ts: (n,) saved times in s; without save_at only the final time.
         xs: states by name, leading axis n.
         stats: counts.
-        code: the number of the Result.
+        code: the number of the `Result`.
         dense: the data for `evaluate`, with dense=True; else None.
         which: the number of the event that ended it, -1 for none; None without events.
         stepper: the method, the system and the inputs of the integration.
@@ -225,7 +228,9 @@ class Solution(AnySolution):
 
     @property
     def last(self) -> Arrays:
-        """The state in the last row, by name, for example as the start of the next integration. Also for a batch."""
+        """The state in the last row, by name, for example as the start of the next integration.
+        Batches are supported.
+        """
         at = np.ndim(self.ts) - 1
         return {name: jnp.take(value, -1, axis=at) for name, value in self.xs.items()}
 
@@ -233,7 +238,8 @@ class Solution(AnySolution):
     def us(self) -> Arrays:
         """The controls by name at the saved times, leading axis n; at a jump the right-hand limit.
 
-        At the end of a table without a later value it is the left-hand limit. Also for a batch, and inside of jit.
+        At the end of a table that has no later value, it is the left-hand limit. Batches and calls inside of jit are
+        supported.
         """
         from .outputs import controls_along
 
@@ -241,9 +247,9 @@ class Solution(AnySolution):
 
     @functools.cached_property
     def outputs(self) -> Arrays:
-        """The outputs of the system by name at the saved times, leading axis n; computed in one call at first access.
+        """The outputs of the system by name at the saved times, leading axis n; computed in one call when first read.
 
-        Also for a batch, and inside of jit. Rows that were not reached are NaN, like their states.
+        Batches and calls inside of jit are supported. Rows that were not reached are NaN, like their states.
 
         Raises:
             InputError: an output reads a control or a parameter that was not passed to the integration.
@@ -261,10 +267,10 @@ class Solution(AnySolution):
 
     @watching("evaluate")
     def evaluate(self, t: Any) -> Arrays:
-        """The states by name at a time () or at times (n,), with a leading axis for the latter. Needs dense=True.
+        """The states by name at a time () or at times (n,), with a leading axis for the latter. Requires dense=True.
 
-        Each is one shorter step of the same method from the start of its step: in its group, and as accurate
-        as the saved states. Differentiable with respect to t too.
+        Each state is computed by one shorter step of the same method from the start of its step, so it is in its group
+        and as accurate as the saved states. It is also differentiable with respect to t.
 
         Raises:
             InputError: there is no dense output; times outside of the integration.
@@ -283,13 +289,14 @@ class Solution(AnySolution):
 
     @watching("plot")
     def plot(self, *names: Any, units: Mapping[str, str] | None = None) -> Any:
-        """The saved states over time, a matplotlib figure; poses as positions and Euler angles in deg.
+        """A matplotlib figure of the saved states over time, with poses as positions and Euler angles in deg.
 
         Entries of a mechanism are named by joint, with a panel for each unit.
 
         Args:
-            names: of states, outputs and joints to draw, such as `plot("rpm", "panel")`; all states by default.
-            units: of values by name, such as {"v": "m/s"}; the default is "SI", and "m" for positions. For a mechanism
+            names: names of the states, outputs and joints to draw, such as `plot("rpm", "panel")`; all states by
+                default.
+            units: units by name, such as {"v": "m/s"}; the default is "SI", and "m" for positions. For a mechanism,
                 {"qd": "rpm"} or {"panel": "deg"} converts from rad and rad/s, m and m/s.
         Raises:
             InputError: an unknown name; a single saved time; a traced or batched solution.
@@ -309,7 +316,7 @@ class Solution(AnySolution):
     def show(self, path: Any = None, **choices: Any) -> Scene:
         """The motion in three dimensions: an animation in one HTML file that needs no network, with a time slider.
 
-        Bodies are drawn to scale, and the size of the squares of the ground is printed beside the time. Frames between
+        Bodies are drawn to scale, and the size of the ground's squares is printed next to the time. Frames between
         saved times are interpolated: save enough times that no body rotates by half a turn in between.
 
         Args:
@@ -321,7 +328,7 @@ class Solution(AnySolution):
                     with one shape, several, or () for axes alone; a state is a pose, a rotation about the origin, or a
                     pair `("R", "p")` of a rotation and a position. Or a mechanism. By default the axes of every pose
                     and rotation.
-                arrows: states, controls and outputs (3,), wrenches and twists (6,) to draw as arrows:
+                arrows: states, controls and outputs of shape (3,), or wrenches and twists (6,), to draw as arrows:
                     `{"T": tx.view.Arrow("g", at=engine)}`.
                 shapes: fixed shapes: obstacles, cones, a ground.
                 trails: names of bodies and frames whose path is drawn; those of poses by default.
@@ -330,7 +337,7 @@ class Solution(AnySolution):
                 seconds: duration of the animation; by default real time, from 2 to 20 s.
                 follow: the name of a body or frame at the centre of the picture, which is then some
                     lengths of it wide; by default the picture shows the whole motion.
-                caption: names of states, controls and outputs whose values are printed beside the time.
+                caption: names of states, controls and outputs whose values are printed next to the time.
                 ground: whether a plane is drawn below everything, with shadows; True by default.
                 live: also serve it to a browser on this machine, with a slider; needs no file.
                 opened: open it in a browser if there is no path; True by default.
@@ -344,7 +351,7 @@ class Solution(AnySolution):
         from ...view.motion import Motion, shown
 
         need_one("show", self)
-        if self.stepper is None:  # of a solution that was put together by hand, states are all that is known
+        if self.stepper is None:  # for a manually constructed solution only the states are known
             return shown(Motion(np.asarray(self.ts), self.xs), path, **choices)
         signals = (lambda: self.us, lambda: self.outputs)
         return shown(Motion(np.asarray(self.ts), self.xs, signals, self.stepper.params), path, **choices)

@@ -1,4 +1,4 @@
-"""A solution as a table: columns with names and units, written to a file or handed to pandas."""
+"""A solution as a table: columns with names and units, written to a file or converted to a DataFrame."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Rotations:
     """The columns of a rotation in a table.
 
     Attributes:
-        names: of the columns.
+        names: the names of the columns.
         unit: their common unit.
         read: converts a rotation (3, 3) to these numbers; traceable.
     """
@@ -47,13 +47,14 @@ MATRIX = Rotations(tuple(f"R{i}{j}" for i in "123" for j in "123"), "", _entries
 
 @dataclasses.dataclass(frozen=True)
 class Columns(Layout):
-    """Time, then all states, controls and outputs, as `name`, `name[i]` or `name[i][j]`.
+    """The default layout: time, then all states, controls and outputs, as `name`, `name[i]` or `name[i][j]`.
 
-    A rotation is `name.qw` and so on; the columns of a pose begin with its position, `name.x`, `name.y`, `name.z`.
+    A rotation has the columns `name.qw` and so on; the columns of a pose begin with its position, `name.x`, `name.y`,
+    `name.z`.
 
     Attributes:
-        units: by name of a state, control or output: a text for all entries (of a pose for its position), or a list
-            with one for each entry.
+        units: units by name of a state, control or output: a text for all entries (for a pose, of its position), or a
+            list with a text for each entry.
         rotations: `tx.columns.QUATERNION`, `EULER` or `MATRIX`.
 
     Raises:
@@ -139,8 +140,8 @@ def columns_of(solution: Any, layout: Any) -> list[Column]:
     """The columns of one solution.
 
     Raises:
-        ModelError: another kind of layout, or one that makes no columns.
-        ShapeError: a column of another length.
+        ModelError: an object that is not a layout, or a layout that does not return columns.
+        ShapeError: a column of the wrong length.
     """
     layout = Columns() if layout is None else layout
     instance("layout", layout, Layout, "one like tx.columns.Columns(units=...)", ModelError)
@@ -160,7 +161,9 @@ def columns_of(solution: Any, layout: Any) -> list[Column]:
 
 
 def write_csv(columns: list[Column], path: Any) -> None:
-    """A row of headers, then the numbers with all their digits. Raises InputError where it cannot be written."""
+    """Write a row of headers, then the numbers with all their digits. Raises InputError if the
+    file cannot be written.
+    """
     target = path_of("to_csv: path", path)
     try:
         with target.open("w", newline="") as file:
@@ -176,7 +179,7 @@ def frame_of(columns: list[Column]) -> Any:
 
     Raises:
         ModelError: pandas is not installed.
-        InputError: two of one header.
+        InputError: two columns with the same header.
     """
     try:
         import pandas
@@ -186,5 +189,7 @@ def frame_of(columns: list[Column]) -> Any:
     if len(table) < len(columns):
         headers = [column.header for column in columns]
         twice = next(header for header in headers if headers.count(header) > 1)
-        raise InputError(f"two columns are called {twice!r}.\n  fix: other names or units, or a tx.columns.Layout")
+        raise InputError(
+            f"two columns have the header {twice!r}.\n  fix: change names or units, or use a tx.columns.Layout"
+        )
     return pandas.DataFrame(table)

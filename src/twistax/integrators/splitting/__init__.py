@@ -1,4 +1,4 @@
-"""Splitting methods for long runs: exact flows of free motions, and kicks by the forces in between."""
+"""Splitting methods for long integrations: exact flows of free motions, alternating with kicks by the forces."""
 
 from .body import FreeBody, FreeMotion, FreeParticle
 from .compositions import Composition

@@ -1,4 +1,4 @@
-"""Free motion for splitting methods: points and rigid bodies, whose momenta are constant in the world."""
+"""Free motion for splitting methods: points and rigid bodies, whose momenta in world axes are constant."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from .inertia import BodyInertia, arrays, rigid, rotational
 class Flows(StoredState):
     """The free motion of a part of a system with its parameters, as a product of exact flows.
 
-    The kinetic energy is a sum; `outer` is the exact flow of its main part, `inner` those of the rest. `enter`, `value`
-    and `at_rest` give the part's own states; the flows give all stored states back. Pure and traceable.
+    The kinetic energy is a sum; `outer` is the exact flow of its main part, and `inner` are the flows of the rest.
+    `enter`, `value` and `at_rest` read the states of this part; the flows return all stored states. Pure and traceable.
     """
 
     @abstractmethod
     def at_rest(self, y: Blocks) -> Arrays:
-        """The states as expressions see them, every velocity zero."""
+        """The states as values for expressions, with zero velocities."""
 
     @abstractmethod
     def outer(self, y: Blocks, dt: jax.Array) -> Blocks:
@@ -42,7 +42,9 @@ class Flows(StoredState):
 
     @abstractmethod
     def kick(self, y: Blocks, rates: Arrays, dt: jax.Array) -> Blocks:
-        """The stored states after dt under forces that give these rates at rest: momenta change, positions stay."""
+        """The stored states after dt under the forces that cause these rates at rest: momenta
+        change, positions do not.
+        """
 
     def settle(self, y: Blocks) -> Blocks:
         """The stored states, projected back to the group."""
@@ -50,11 +52,11 @@ class Flows(StoredState):
 
 
 class FreeMotion(ABC):
-    """The states of a system that move freely between kicks, and their motion. A hashable value.
+    """The states of a system that move freely between kicks, and their motion. Hashable.
 
     Attributes:
-        position: the name of the state that the free motion moves.
-        velocity: that of the state that forces change, a velocity or a momentum.
+        position: the name of the state that the free motion changes.
+        velocity: the name of the state that forces change, a velocity or a momentum.
         parameters: the names of the parameters that the free motion reads.
     """
 
@@ -64,11 +66,11 @@ class FreeMotion(ABC):
 
     @abstractmethod
     def check(self, dynamics: Dynamics) -> None:
-        """Whether states and parameters have the right kind. Raises ModelError, which names what has not."""
+        """Check that states and parameters have the right kind. Raises ModelError for one that does not."""
 
     @abstractmethod
     def rates(self, dynamics: Dynamics, x: Arrays, params: Arrays) -> Arrays:
-        """The rates of the two states in free motion, in plain form, with which a system is compared."""
+        """The rates of the two states in free motion as functions of plain values, for comparison with the system."""
 
     @abstractmethod
     def flows(self, dynamics: Dynamics, params: Arrays) -> Flows:
@@ -76,7 +78,7 @@ class FreeMotion(ABC):
 
 
 def name_of(leaf: Any) -> str:
-    """The name of a state given as such or by its name. Raises ModelError for anything else."""
+    """The name of a state, from the state or its name. Raises ModelError for other objects."""
     if isinstance(leaf, State):
         return leaf.name
     if not isinstance(leaf, str):
@@ -112,7 +114,7 @@ class FreeParticle(FreeMotion):
             raise ModelError(
                 f"{self!r}: expects two states without a group and of one shape, got {groups[0].name} and "
                 f"{groups[1].name}.\n"
-                "  fix: a rotation or a pose is that of a tx.FreeBody(pose, velocity, inertia=...)"
+                "  fix: for a rotation or a pose use tx.FreeBody(pose, velocity, inertia=...)"
             )
 
     def rates(self, dynamics: Dynamics, x: Arrays, params: Arrays) -> Arrays:
@@ -160,15 +162,15 @@ class FreeBody(FreeMotion):
         pose: the attitude or the pose, a state or its name.
         velocity: the state that is its body velocity, (3,) or (6,) in the order of the pose.
         momentum: alternatively, the state that is its body momentum J w or M V, about the frame's origin.
-        inertia: for an attitude moments (3,) about the body's axes, or a tensor (3, 3), about the origin, kg m2; for a
-            pose the spatial inertia (6, 6) in its order, or its diagonal (6,). An array; or a Parameter of the system,
-            its name, or an expression of its parameters, which may then differ from run to run. An array is faster,
-            in particular than a matrix of parameters, whose principal axes are unknown.
+        inertia: for an attitude the moments (3,) about the body's axes, or a tensor (3, 3), about the origin, kg m2;
+            for a pose the spatial inertia (6, 6) in its order, or its diagonal (6,). It is an array; or, so that it can
+            change from run to run, a Parameter of the system, its name, or an expression of its parameters. An array is
+            faster, in particular than a matrix of parameters, whose principal axes are unknown.
 
     Raises:
         ModelError: both or neither of velocity and momentum; an inertia that depends on more than parameters. When
-            integrated: states of another kind, or an inertia that is not physical. For a matrix of parameters this is
-            known at run time only; the first step then ends with NaN.
+            integrated: states of another kind, or an inertia that is not physical. For a matrix of parameters the last
+            error can only occur during the integration; its first step then results in NaN.
     """
 
     def __init__(self, pose: Any, velocity: Any = None, *, momentum: Any = None, inertia: Any) -> None:
@@ -210,7 +212,8 @@ class FreeBody(FreeMotion):
             if name not in known:
                 raise ModelError(
                     f"{self!r}: inertia reads parameter {name!r}, which the system does not have; it has: "
-                    f"{', '.join(map(repr, known)) or 'none'}.\n  fix: where it is baked, give its value as an array"
+                    f"{', '.join(map(repr, known)) or 'none'}.\n"
+                    "  fix: if it is a constant of the compiled system, pass its value as an array"
                 )
             if not any(name in dynamics.functions.rate_reads(state.name) for state in dynamics.states):
                 raise ModelError(f"{self!r}: inertia reads parameter {name!r}, which no rate reads")

@@ -1,4 +1,4 @@
-"""Symmetric compositions: their data, checked when they are made."""
+"""Symmetric compositions: their coefficients, which are checked at construction."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ _TOLERANCE = 1e-14
 class Composition(Coefficients):
     """A symmetric composition of a symmetric method of order 2: successive steps of length w_1 h, ..., w_s h.
 
-    `order` is the order of the composition. From order 4 on some weights are negative: steps backward in time.
+    `order` is the order of the composition. From order 4 on, some weights are negative: these steps go backward in
+    time.
 
     Attributes:
         name: its name in tables.
@@ -28,7 +29,7 @@ class Composition(Coefficients):
             on also their fifth powers and so on, sum to 0.
 
     Raises:
-        ModelError: another order, a wrong shape, a value that is not finite, or a wrong sum.
+        ModelError: an invalid order, a wrong shape, a value that is not finite, or a wrong sum.
 
     Source: Hairer, Lubich, Wanner, Geometric Numerical Integration (2006), section V.3.
     """
@@ -51,7 +52,7 @@ class Composition(Coefficients):
             total = (weights**power).sum()
             if abs(total - wanted) > _TOLERANCE * np.abs(weights**power).sum():
                 what = "weights" if power == 1 else f"powers {power} of the weights"
-                raise self._error(f"{what} must sum to {wanted:g} for order {self.order}, they sum to {total:.16g}")
+                raise self._error(f"{what} must sum to {wanted:g} for order {self.order}, but they sum to {total:.16g}")
 
     @property
     def stages(self) -> int:
@@ -60,7 +61,7 @@ class Composition(Coefficients):
 
     @property
     def nodes(self) -> np.ndarray:
-        """The middles of the stages, in steps: the times of the momentum changes."""
+        """The midpoints of the stages, in steps: the times of the momentum changes."""
         return np.cumsum(self.weights) - 0.5 * self.weights
 
     @property

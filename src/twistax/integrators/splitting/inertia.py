@@ -1,4 +1,4 @@
-"""The inertia of a rigid body for free motion: about the point that moves uniformly, as exact flows."""
+"""The inertia of a rigid body for free motion: about the point that moves uniformly, with exact flows."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _ROUND_OFF = 1e-5
 
 
 def arrays(numbers: Sequence[Number], like: jax.Array) -> Components:
-    """The numbers as scalars of the precision of `like`."""
+    """The numbers as scalars with the precision of `like`."""
     return tuple(jnp.asarray(number, like.dtype) for number in numbers)
 
 
@@ -45,7 +45,8 @@ def _weighted(row: Sequence[Number], v: Components) -> jax.Array:
 class BodyAxes:
     """Axes of a body, and the role of each.
 
-    The two with the nearest moments are `like` and `rest`: in a symmetric body `rest` then moves nothing.
+    The two axes with the closest moments are `like` and `rest`; in a symmetric body, the flow about `rest` is the
+    identity.
     """
 
     axes: np.ndarray  # (3, 3), an orthonormal axis in every column
@@ -55,7 +56,7 @@ class BodyAxes:
 
     @classmethod
     def of(cls, tensor: np.ndarray | None) -> BodyAxes:
-        """The principal axes of an inertia tensor (3, 3); the body's own where nothing is known."""
+        """The principal axes of an inertia tensor (3, 3); the axes of the body if nothing is known."""
         if tensor is None:
             return cls(np.eye(3), 2, 0, 1)
         if np.array_equal(tensor, np.diag(np.diag(tensor))):
@@ -85,9 +86,9 @@ class _Axis:
 class Spin:
     """The kinetic energy L . J^-1 L / 2 as a sum of terms with exact flows; L is constant in the world.
 
-    J^-1 = k I + sum_i s_i n_i n_i^T over fixed axes n_i. The first two terms together are a symmetric body: it turns
-    about L at the rate k |L| and about its axis at s (n . L). Each of the others turns it about its own axis. Three
-    moments take one other; a symmetric body takes none.
+    J^-1 = k I + sum_i s_i n_i n_i^T over fixed axes n_i. The first two terms together describe a symmetric body: it
+    rotates about L at the rate k |L| and about its axis at s (n . L). Each of the others rotates it about its own axis.
+    Three different moments need one such term; a symmetric body needs none.
 
     Source: Hairer, Lubich, Wanner, Geometric Numerical Integration (2006), section VII.5.3 (splitting methods for rigid
     bodies), for the idea; Landau and Lifshitz, Mechanics, section 33, for the symmetric body.
@@ -128,10 +129,11 @@ class Spin:
 
     @classmethod
     def of_traced(cls, tensor: jax.Array, frame: BodyAxes) -> Spin:
-        """Of a traced tensor (3, 3), symmetric and positive, whose principal axes are near those of the frame, or not.
+        """The spin of a traced tensor (3, 3), symmetric and positive, whose principal axes may be far from those of the
+        frame.
 
-        What is not on the diagonal in the frame's axes is shared between axes in pairs:
-        n_i n_j^T + n_j n_i^T = (n_i + n_j)(n_i + n_j)^T - n_i n_i^T - n_j n_j^T.
+        Off-diagonal entries in the frame's axes are distributed to pairs of axes: n_i n_j^T + n_j n_i^T = (n_i +
+        n_j)(n_i + n_j)^T - n_i n_i^T - n_j n_j^T.
         """
         # By cross products: a library call would not compile inside of a loop.
         rows = [unpack(row) for row in tensor]
@@ -157,7 +159,7 @@ class Spin:
         return quaternions.product(quaternions.exp(scale(dt * self.isotropic, L)), turned)
 
     def flow_of_other_axes(self, q: Components, L: Components, dt: jax.Array, backwards: bool) -> Components:
-        """The attitude after dt by every other part, one after the other."""
+        """The attitude after dt under all other parts successively."""
         if len(self.other_axes) < 2:
             return self.other_axes[0].flow(q, L, dt) if self.other_axes else q
         # A loop: unrolled, derivatives of so many rotations in a row take minutes to compile.
@@ -172,10 +174,11 @@ class Spin:
 
 @dataclasses.dataclass(frozen=True)
 class BodyInertia:
-    """L = J w about the centre, and of a body that moves p = m (v + w x c). Velocities and momenta are in body axes.
+    """The momentum L = J w about the centre of mass, and p = m (v + w x c) for a body that also translates. Velocities
+    and momenta are in body axes.
 
-    With linear parts the maps are Ad* and Ad of the shift to c, [p; L] -> [p; L - c x p] and [v; w] -> [v + w x c; w];
-    momenta about the centre are [L; p]. A body that only turns has no linear part: () stands for it.
+    With linear parts the maps are Ad* and Ad of the translation to c, [p; L] -> [p; L - c x p] and [v; w] -> [v + w x
+    c; w]; momenta about the centre are [L; p]. A body that only rotates has no linear part, which is represented by ().
     """
 
     spin: Spin  # with J about the centre of mass, or about the origin of an attitude's frame
@@ -208,8 +211,8 @@ class BodyInertia:
 def rotational(place: str, value: np.ndarray | jax.Array, default: np.ndarray | None) -> BodyInertia:
     """The inertia of moments (3,) about the body's axes or of a tensor (3, 3), constant or traced.
 
-    The default of a traced value chooses the axes of the free motion. Raises ModelError, about `place`, for a constant
-    that is not symmetric and positive.
+    The default of a traced value determines the axes of the free motion. Raises ModelError, with `place` in its
+    message, for a constant that is not symmetric and positive.
     """
     default = np.diag(default) if default is not None and default.ndim == 1 else default
     if isinstance(value, np.ndarray):
@@ -232,7 +235,8 @@ def rigid(place: str, value: np.ndarray | jax.Array, default: np.ndarray | None)
             raise ModelError(
                 f"{place} is not the spatial inertia of a rigid body: with [v; w] its blocks must be m I, -m [c], "
                 "m [c] and J - m [c]^2 of a mass m and a centre of mass c.\n"
-                "  fix: give the matrix of the system in the order of the state; tx.RKMK takes bodies of other inertia"
+                "  fix: pass the matrix of the system in the order of the state, or use tx.RKMK, which "
+                "supports other inertias"
             )
         tensor = 0.5 * (tensor + tensor.T)
         _check_tensor(place, tensor)

@@ -1,4 +1,4 @@
-"""Splitting methods: free motion and kicks, one after the other; whether a system has that form."""
+"""Splitting methods, which alternate free motion and kicks; and the check whether a system has that form."""
 
 from __future__ import annotations
 
@@ -48,14 +48,14 @@ class Splitting(Method):
 
         S(h/2) r_1(h/2) r_2(h/2) ... K(h) ... r_2(h/2) r_1(h/2) S(h/2),
 
-    where neighbouring S are combined: there is one evaluation of the rates in each stage, and none at the ends of a
-        step.
+    where neighbouring S are combined, so each stage takes one evaluation of the rates, and the ends of a step take
+        none.
     The rates at rest are the forces, so any compiled system of this form is supported; others raise an error. Between
-    steps momenta are stored in world axes: a momentum that no force changes is conserved to the last bit. Energy errors
-    stay bounded if steps resolve the motion. Steps are fixed.
+    steps momenta are stored in world axes: a momentum that no force changes is conserved exactly. Energy errors stay
+    bounded if steps resolve the motion. Steps are fixed.
 
     Attributes:
-        composition: `tx.compositions.KAHAN_LI8` or another.
+        composition: a `tx.compositions.Composition`, such as `tx.compositions.KAHAN_LI8`.
         bodies: a `tx.FreeBody` or `tx.FreeParticle`, or several, which together have all states of the system.
 
     Raises:
@@ -92,9 +92,9 @@ class Splitting(Method):
         return self.composition.stages
 
     def check(self, dynamics: Dynamics) -> None:
-        """Raises ModelError, with the reason, for a system whose forces depend on velocities and for a wrong inertia.
+        """Raise ModelError, with the reason, for a system whose forces depend on velocities and for a wrong inertia.
 
-        Found by derivatives at random states, once for a system and its bodies.
+        The check uses derivatives at random states, once for a system and its bodies.
         """
         known = _CHECKED.setdefault(dynamics, set())
         if self.bodies not in known:
@@ -228,9 +228,10 @@ def _judge(motion: FreeMotion, compared: dict[str, Any]) -> None:
         )
     if compared["change"] and np.abs(compared["change"][velocity]).max() > tolerance * size:
         raise ModelError(
-            f"Splitting: the inertia of {motion!r} depends on parameters of the system that it does not name.\n"
-            "  fix: give inertia as the Parameter, its name, or an expression of parameters; or fold them into the "
-            "system: tx.compile(system, bake={...})"
+            f"Splitting: the inertia of {motion!r} depends on parameters of the system that its argument inertia "
+            "does not contain.\n"
+            "  fix: give inertia as the Parameter, its name, or an expression of parameters; or make the parameters "
+            "constants: tx.compile(system, bake={...})"
         )
 
 

@@ -1,1 +1,1 @@
-"""Recursions over a kinematic tree, as expressions: dynamics, Jacobians, momentum, derivatives, closed loops."""
+"""Recursive algorithms on kinematic trees, as expressions: dynamics, Jacobians, momentum, derivatives, closed loops."""

@@ -1,15 +1,16 @@
-"""Dynamics of mechanisms with closed loops: the tree's equations with what the closures carry, as multipliers.
+"""Dynamics of mechanisms with closed loops: the equations of the tree with loop constraints and Lagrange multipliers.
 
-With G (m, n) the rows W'(J_other - Ad_T^-1 J_frame) of all closures, so that G qd = 0 holds them closed,
+With G (m, n) the rows W'(J_other - Ad_T^-1 J_frame) of all loop constraints, closed loops satisfy G qd = 0 and
 
     M qdd + b = tau + G' lambda        G qdd + c = 0,
 
-c = G' qd with G' the rate of G. Closures may say one thing twice, in all postures or in some: of the rows those are
-taken that are independent in the posture, see `loop_rows`. Their multipliers follow from A mu = r with A = G M^-1 G',
-which is positive definite for them; the wrenches are the shortest with the same forces of the joints.
+c = G' qd with G' the rate of G. Loop constraints may be redundant, in all configurations or in some. Only rows that are
+independent in the current configuration are used, see `loop_rows`. Their multipliers follow from A mu = r with A = G
+M^-1 G', which is positive definite for these rows. The constraint wrenches are the minimum-norm solution with the same
+joint forces.
 
-Source: E. Hairer, G. Wanner, Solving Ordinary Differential Equations II (1996), section VII.1, for the equations, VII.2
-for projections of what has drifted.
+Source: E. Hairer, G. Wanner, Solving Ordinary Differential Equations II (1996), section VII.1 for the equations, VII.2
+for projections that remove the drift.
 """
 
 from __future__ import annotations
@@ -34,11 +35,11 @@ from .loop_rows import UNIT, LoopRows, numbers, solved
 
 @dataclasses.dataclass(frozen=True)
 class ClosedLoops:
-    """The equations of a mechanism's loops in one state, as expressions that are made when first read.
+    """The loop equations of a mechanism at one state, as expressions that are built when first read.
 
     Args:
-        mechanism: with one loop or more.
-        q, qd: positions and velocities; the mechanism's own states where None.
+        mechanism: a mechanism with at least one loop.
+        q, qd: positions and velocities; None for the states of the mechanism.
     """
 
     mechanism: KinematicTree
@@ -47,7 +48,7 @@ class ClosedLoops:
 
     @functools.cached_property
     def poses(self) -> list[Expr]:
-        """T (4, 4) of the second frame of every loop in its first."""
+        """For every loop, the pose T (4, 4) of its second frame in the first."""
         return [self.mechanism.pose(loop.other, self.q, relative_to=loop.frame) for loop in self.mechanism.loops]
 
     @functools.cached_property
@@ -57,7 +58,7 @@ class ClosedLoops:
 
     @functools.cached_property
     def jacobian(self) -> Expr:
-        """The closure Jacobian G (m, n)."""
+        """The Jacobian G (m, n) of the loop constraints."""
         rows: list[Expr] = []
         for loop, T in zip(self.mechanism.loops, self.poses, strict=True):
             first, second = (frame_jacobian(self.mechanism, name, self.q) for name in (loop.frame, loop.other))
@@ -67,19 +68,19 @@ class ClosedLoops:
 
     @functools.cached_property
     def velocities(self) -> Expr:
-        """The closure velocities G qd (m,), zero while the loops stay closed."""
+        """The rates G qd (m,) of the closure residuals, zero while the loops are closed."""
         return self.jacobian @ self.mechanism.coordinates("closed loops", "qd", self.qd)
 
     @functools.cached_property
     def drift(self) -> Expr:
-        """The velocity term c (m,) of the closure accelerations G qdd + c."""
+        """The velocity term c (m,) of the second rates G qdd + c of the closure residuals."""
         rates = self._twist_rates()
         rows: list[Expr] = []
         for loop, T in zip(self.mechanism.loops, self.poses, strict=True):
             V = [self.mechanism.twist(name, self.q, self.qd) for name in (loop.frame, loop.other)]
             A = [self._of_frame(name, rates) for name in (loop.frame, loop.other)]
             seen = AdjointAction(T, V[0], inverse=True)
-            # Ad_T^-1 changes by -ad of the relative twist.
+            # The rate of Ad_T^-1 is -ad of the relative twist times Ad_T^-1.
             rate = A[1] - AdjointAction(T, A[0], inverse=True) + Adjoint(V[1] - seen, seen)
             rows.append(loop.constraint_basis.T @ rate)
         return Concat(*rows)
@@ -101,11 +102,11 @@ class ClosedLoops:
 
     @functools.cached_property
     def rows(self) -> LoopRows:
-        """G, and which rows of it are independent."""
+        """The matrix G, and which of its rows are independent."""
         return LoopRows(self.mechanism, self.jacobian)
 
     def motion(self, tau: Expr, wrenches: Wrenches | None = None) -> LoopMotion:
-        """Accelerations and multipliers under forces of the joints (n,)."""
+        """Accelerations and multipliers under joint forces (n,)."""
         bias = bias_forces(self.mechanism, self.q, self.qd, wrenches=wrenches)
         both = solved(self._mass, Hstack(self.jacobian.T, (tau - bias)[:, None]))
         free, felt = both[:, -1], both[:, :-1]
@@ -117,8 +118,8 @@ class ClosedLoops:
     def corrections(self) -> tuple[Expr, Expr]:
         """Corrections of positions, as velocities (n,), and of velocities (n,): one Newton step towards closed loops.
 
-        The shortest steps, measured by the mass matrix; so what is added to the velocities takes energy to second order
-        only.
+        They are the shortest steps in the norm of the mass matrix, so the correction of the velocities changes the
+        energy only to second order.
         """
         felt = solved(self._mass, self.jacobian.T)
         back = felt @ self.rows.solve(mirrored(self.jacobian @ felt), Stack(self.gaps, self.velocities).T)
@@ -131,7 +132,9 @@ class ClosedLoops:
 
 @dataclasses.dataclass(frozen=True)
 class LoopMotion:
-    """The motion of a mechanism with loops: accelerations (n,), multipliers mu (m,) of A mu = r for rows chosen."""
+    """The motion of a mechanism with loops: accelerations (n,), and multipliers mu (m,) with A mu = r for the selected
+    rows.
+    """
 
     rows: LoopRows
     accelerations: Expr
@@ -141,7 +144,7 @@ class LoopMotion:
 
     @functools.cached_property
     def multipliers(self) -> Expr:
-        """lambda (m,): the shortest with the forces of mu."""
+        """The minimum-norm multipliers lambda (m,) that are equivalent to mu."""
         return self.rows.shortest(self.mu)
 
     def diagnostics(self) -> dict[str, Expr]:
@@ -150,7 +153,8 @@ class LoopMotion:
         longest, rank = Max(_largest(distances), UNIT), Sum(chosen)
         nearest = -_largest(-Where(chosen > 0.5, distances, longest))
         measures = self.rows.measures
-        # What A mu = r leaves, solved for once more; what rows that were left out would exert, unlike those chosen.
+        # The residual of A mu = r, solved for the error of mu; and the difference between the forces of all and of the
+        # selected rows.
         left = self.rows.solve(self.A, self.r - self.A @ self.mu) / measures
         unlike = self.rows.scaled.T @ ((self.multipliers - self.mu) / measures)
         return {
@@ -177,16 +181,16 @@ def closed_dynamics(
 ) -> tuple[Expr, dict[str, Expr]]:
     """The accelerations (n,) of a mechanism with closed loops, and the constraint wrench (6,) of each loop.
 
-    The wrench acts on the frame `other`, about its origin in its axes, by the name of the loop; its opposite acts on
-    `frame`. If loop constraints are redundant, for example in a planar linkage that is closed in space, the wrenches
-    are not unique. The result is the minimum-norm solution in the norm of `loops.Metric`.
+    The wrench acts on the frame `other`, about its origin and in its axes; the opposite wrench acts on `frame`. The key
+    is the name of the loop. If loop constraints are redundant, for example in a planar linkage that is closed in space,
+    the wrenches are not unique: the result is the minimum-norm solution in the norm of `loops.Metric`.
 
     Args:
-        mechanism: with one loop or more.
+        mechanism: a mechanism with at least one loop.
         q, qd, tau, wrenches: as for `forward_dynamics`.
     Raises:
         ShapeError: an argument of another shape.
-        ModelError: positions or frames that are not known; no loops.
+        ModelError: unknown positions or frames; a mechanism without loops.
     """
     motion = _motion("closed_dynamics", mechanism, q, qd, tau, wrenches)
     constraint_wrenches, row = dict[str, Expr](), 0
@@ -218,26 +222,27 @@ def loop_diagnostics(
     *,
     wrenches: Wrenches | None = None,
 ) -> dict[str, Expr]:
-    """Measures of the loop constraints at a configuration, scalars () by name.
+    """Measures of the loop constraints at a configuration, as a dict from names to scalars ().
 
-    With $G_s = D G E^-1$ the closure rows in the norm of `loops.Metric`, and d the distance of each row from the span
-    of the rows selected before it:
+    Let $G_s = D G E^-1$ be the rows of the loop constraints in the norm of `loops.Metric`, and d the distance of each
+    row from the span of the rows selected before it.
 
     - `rank`: number of independent rows, of all m.
-    - `redundant`: m minus the rank: number of closure rows that follow from others at this configuration.
-    - `reciprocal_condition`: $d_min / max(d_max, 1)$ over the selected rows, from 1 down to the tolerance: small near a
-      singular configuration, where a row begins to depend on the others. It is 1 if no row is selected.
-    - `misalignment`: the largest d of a row that was left out, over the same: how far redundant closures contradict
-      each other, for example by axes that are not exactly parallel.
+    - `redundant`: m minus the rank: the number of redundant rows at this configuration.
+    - `reciprocal_condition`: $d_min / max(d_max, 1)$ over the selected rows, from 1 down to the tolerance. It is small
+      near a singular configuration, where a row becomes dependent on the others, and 1 if no row is selected.
+    - `misalignment`: the largest d of an omitted row, divided by $max(d_max, 1)$: the degree to which redundant
+      constraints contradict each other, for example because axes are not exactly parallel.
     - `wrench_error`: an estimate, N, of the error of all loop wrenches together, in the norm of `loops.Metric`: the
       residual from round-off plus the effect of misalignment on redundant wrenches, both divided by the smallest
       distance.
 
     Args:
-        mechanism: with one loop or more.
+        mechanism: a mechanism with at least one loop.
         q, qd, tau, wrenches: as for `forward_dynamics`; only `wrench_error` depends on the last two.
     Raises: as `closed_dynamics`.
-    Source: N. Higham, Accuracy and Stability of Numerical Algorithms (2002), section 10.3, for ranks by pivots.
+    Source: N. Higham, Accuracy and Stability of Numerical Algorithms (2002), section 10.3, for rank determination by
+    pivoting.
     """
     return _motion("loop_diagnostics", mechanism, q, qd, tau, wrenches).diagnostics()
 
@@ -255,8 +260,8 @@ def loop_wrench(
     """The constraint wrench $F = [f; tau]$ (6,), N and N m, of a loop on its frame `other`, expressed in any frame, by
     default in `other`.
 
-    Pass the tau of `mechanism.system(outputs=lambda qdd, tau: ...)` for the wrench during the motion; without it the
-    motors give no force.
+    Pass the tau of `mechanism.system(outputs=lambda qdd, tau: ...)` for the wrench during a motion. Without it the
+    motors exert no force.
 
     Raises: as `closed_dynamics`; ModelError for an unknown loop.
     """
@@ -275,11 +280,11 @@ def loop_wrenches(
     *,
     wrenches: Wrenches | None = None,
 ) -> dict[str, Expr]:
-    """The constraint wrenches of all loops plus `wrenches`, by frame: pass them as `wrenches=` to functions of the
+    """The constraint wrenches of all loops, added to `wrenches`, by frame. Pass them as `wrenches=` to functions of the
     tree.
 
-    With them `joint_wrench` and `inverse_dynamics` hold for the mechanism with closed loops. Raises as
-    `closed_dynamics` does.
+    With these wrenches, `joint_wrench` and `inverse_dynamics` are valid for the mechanism with closed loops. Raises the
+    errors of `closed_dynamics`.
     """
     forces = closed_dynamics(mechanism, q, qd, tau, wrenches=wrenches)[1]
     total: dict[str, ExprLike] = dict(wrenches or {})
@@ -291,15 +296,15 @@ def loop_wrenches(
 
 
 def loop_gap(mechanism: KinematicTree, loop: str, q: Positions | None = None) -> Expr:
-    """The closure residual (m,) of a loop, m and rad; zero if it is closed. Raises ShapeError; ModelError for an
-    unknown loop.
+    """The closure residual (m,) of a loop, m and rad; zero if the loop is closed. Raises ShapeError for positions of
+    another shape, and ModelError for an unknown loop.
     """
     of = loop_of(mechanism, loop)
     return of.gap(mechanism.pose(of.other, q, relative_to=of.frame))
 
 
 def loop_of(mechanism: KinematicTree, name: str) -> Loop:
-    """The closure of a name. Raises ModelError."""
+    """The loop constraint with a name. Raises ModelError for an unknown name."""
     loops = {loop.name: loop for loop in mechanism.loops}
     if name not in loops:
         raise ModelError(f"there is no loop {name!r}; known are {listed(loops, name)}")
@@ -307,7 +312,7 @@ def loop_of(mechanism: KinematicTree, name: str) -> Loop:
 
 
 def redundant_rows(mechanism: KinematicTree) -> int:
-    """The number of redundant rows of G at a random configuration; parameters have their values, or one."""
+    """The number of redundant rows of G at a random configuration; a parameter has its value, or one if it has none."""
     rows = ClosedLoops(mechanism).rows
     lengths = np.linalg.svd(numbers(rows.scaled), compute_uv=False)
     return int(np.sum(lengths <= max(mechanism.loop_metric.tolerance, 1e-5) * lengths[0])) + max(

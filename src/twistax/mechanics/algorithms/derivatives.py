@@ -1,22 +1,23 @@
-"""Derivatives of the dynamics of mechanisms by positions, velocities and accelerations or forces, in the tangent space.
+"""Derivatives of the dynamics with respect to positions, velocities and accelerations or forces, in the tangent space.
 
-A position is moved by a right perturbation: all beyond joint j moves by the twist S_j d, S = Ad_T H its motion. With V
-and A the twists and accelerations of the segments, `before` the segment before j, and
+Positions are varied by right perturbations: a perturbation d of joint j moves everything beyond it by the twist S_j d,
+where S = Ad_T H is the motion column of the joint. Let V and A be the twists and accelerations of the segments, let
+`before` be the segment before j, and
 
     S'_j = V_j x S_j        P_j = V_before x S_j        P'_j = A_before x S_j + V_before x P_j,
 
-what moves with the perturbed segments sees V_i change by P_j and A_i by P'_j - V_i x P_j. Summed from tips to base,
-with I and B of `spread.py` and F the wrench of the joint,
+then in the perturbed segments V_i changes by P_j, and A_i by P'_j - V_i x P_j, as seen in axes that move with them.
+Summed from the tips to the base, with I and B of `spread.py` and F the wrench of the joint,
 
     d tau_i / d q_j   = S_i . (I_i P'_j + B_i P_j)                for i = j and beyond,
                       = S_i . (I_j P'_j + B_j P_j + S_j x* F_j)   for i before j,
     d tau_i / d qd_j  = S_i . (I_k (P_j + S'_j) + B_k S_j)        with k the later one of i and j,
     d tau_i / d qdd_j = S_i . I_k S_j.
 
-All of it is written in the frame of the first segment of a tree, which is taken at rest there but for its turning: a
-frame that moves on evenly is as good as one that stands. What the first joint does enters by the acceleration and
-the angular velocity of its segment. The derivatives of accelerations are -M^-1 times those of the forces; where the
-first joint is free, what enters by its acceleration needs no M.
+All quantities are expressed in a frame that coincides with the first segment of a tree and moves at its constant linear
+velocity, which is permitted because inertial frames are equivalent. The motion of the first joint enters through the
+acceleration and the angular velocity of its segment. The derivatives of accelerations are -M^-1 times those of the
+forces; if the first joint is free, the part due to its acceleration needs no M.
 
 Sources: J. Carpentier, N. Mansard, Analytical derivatives of rigid body dynamics algorithms, RSS (2018); S. Singh,
 R. Russell, P. Wensing, Efficient analytical derivatives of rigid-body dynamics using spatial vector algebra, IEEE RA-L
@@ -47,7 +48,9 @@ _NOTHING = Constant(np.zeros(6))
 
 
 class ForceDerivatives(NamedTuple):
-    """Derivatives of joint forces (n,): by right perturbations of positions, by velocities, by accelerations."""
+    """Derivatives of joint forces (n,) with respect to positions (right perturbations),
+    velocities and accelerations.
+    """
 
     q: Expr
     qd: Expr
@@ -55,7 +58,9 @@ class ForceDerivatives(NamedTuple):
 
 
 class AccelerationDerivatives(NamedTuple):
-    """Derivatives of the accelerations (n,): by right perturbations of the positions, by velocities, by forces."""
+    """Derivatives of accelerations (n,) with respect to positions (right perturbations),
+    velocities and joint forces.
+    """
 
     q: Expr
     qd: Expr
@@ -75,8 +80,8 @@ def inverse_dynamics_derivatives(
     The derivative with respect to accelerations is the mass matrix. Columns follow the order of the velocities; a
     position on a group is varied by a right perturbation, in the order of its body velocity.
 
-    Args: as for `inverse_dynamics`. A wrench is constant in the axes of its frame.
-    Raises: as `inverse_dynamics` does.
+    Args: as for `inverse_dynamics`. Wrenches are assumed constant in the axes of their frames.
+    Raises: the errors of `inverse_dynamics`.
     """
     owner = "inverse_dynamics_derivatives"
     rates = checked(owner, mechanism).coordinates(owner, "qdd", np.zeros(mechanism.dofs) if qdd is None else qdd)
@@ -99,13 +104,12 @@ def forward_dynamics_derivatives(
     The derivative with respect to forces is the inverse of the mass matrix. Columns are as for
     `inverse_dynamics_derivatives`.
 
-    Args, Raises: as for `forward_dynamics`; wrenches as for `inverse_dynamics_derivatives`.
+    Args, Raises: as for `forward_dynamics`. Wrenches are assumed constant in the axes of their frames.
     """
     owner = "forward_dynamics_derivatives"
     if checked(owner, mechanism).loops:
         raise ModelError(
-            f"{owner} expects a tree, got one with closed loops.\n"
-            "  fix: tx.compile(mechanism.system()).jacobian, by the chain rule"
+            f"{owner} expects a tree, got one with closed loops.\n  fix: use tx.compile(mechanism.system()).jacobian"
         )
     qdd = forward_dynamics(checked(owner, mechanism), q, qd, tau, wrenches=wrenches)
     perturbed = _Perturbed(owner, mechanism, q, qd, qdd, wrenches)
@@ -125,14 +129,16 @@ def forward_dynamics_derivatives(
 
 @dataclasses.dataclass(frozen=True)
 class _Freedom:
-    """The effect of a unit of one freedom. Six-vectors are in the frame of the first segment of its tree."""
+    """The effect of a unit of one degree of freedom. Six-vectors are in the frame of the first segment of its tree."""
 
-    place: int  # of its segment
-    entry: int  # of the velocities
-    ratio: float  # of a follower
+    place: int  # index of its segment
+    entry: int  # index among the velocities
+    ratio: float  # of a mimic joint
     S: Expr
-    moved: tuple[Expr, Expr]  # by its position: what I acts on (6,), and the angular part of what B acts on (3,)
-    hastened: tuple[Expr, Expr]  # the same by its velocity
+    moved: tuple[
+        Expr, Expr
+    ]  # with respect to position: the argument of I (6,), and the angular part of the argument of B (3,)
+    hastened: tuple[Expr, Expr]  # the same with respect to velocity
 
 
 class _Segment(NamedTuple):
@@ -142,7 +148,7 @@ class _Segment(NamedTuple):
 
 
 class _Perturbed:
-    """A motion, and the change of the joint forces under small perturbations of it."""
+    """A motion, and the changes of the joint forces under small perturbations of it."""
 
     def __init__(
         self,
@@ -157,7 +163,8 @@ class _Perturbed:
         places = mechanism.positions(owner, q)
         self._qd, self._qdd = mechanism.coordinates(owner, "qd", qd), qdd
         segments, self._freedoms = mechanism.segments, list[_Freedom]()
-        #: What a unit of a freedom of a first joint does to the acceleration of its segment: by position, by velocity.
+        #: The change of the acceleration of the first segment per unit of a degree of freedom of its joint: by
+        #: position, by velocity.
         self.moved, self.hastened = dict[int, Expr](), dict[int, Expr]()
         moving: list[_Segment] = []
         for i, (segment, place) in enumerate(zip(segments, places, strict=True)):
@@ -179,10 +186,10 @@ class _Perturbed:
                 self._F[before] = self._F[before] + self._F[i]
                 self._spreads[before] = self._spreads[before].plus(self._spreads[i])
 
-    # ---- outward ---------------------------------------------------------------------------------------------------
+    # ---- pass from the base to the tips ----------------------------------------------------------------------------
 
     def _first(self, i: int, segment: Segment, T: Expr) -> _Segment:
-        """A segment on the base: in its own frame, with the velocity of its origin taken away."""
+        """A segment on the base, in its own frame, with the velocity of its origin subtracted."""
         V, ratio = self.mechanism.along(segment, self._qd), _ratio(segment)
         w, v = angular(V), linear(V)
         up = AdjointAction(T, acceleration_of_base(self.mechanism.gravity), inverse=True)
@@ -205,20 +212,20 @@ class _Perturbed:
             V = V + S * rate
         for S, rate, a in zip(motions, rates, segment.freedoms, strict=True):
             P = Adjoint(before.V, S)
-            Q = P if len(motions) == 1 else Adjoint(V, S)  # one motion does not change by its own turning
+            Q = P if len(motions) == 1 else Adjoint(V, S)  # a single motion column is constant under its own rotation
             moved = Adjoint(before.A, S) + Adjoint(before.V, P), angular(P)
             self._freedoms.append(_Freedom(i, a, ratio, S, moved, (P + Q, angular(S))))
             A = A + S * _times(ratio, self._qdd[a]) + Q * rate
         return _Segment(frame, V, A)
 
-    # ---- all pairs of freedoms ---------------------------------------------------------------------------------------
+    # ---- all pairs of degrees of freedom ---------------------------------------------------------------------------
 
     @functools.cached_property
     def _tree(self) -> list[tuple[int, int, Constant]]:
-        """For each freedom j: the first freedom of its joint, the end of its subtree, and a mask of its ancestors among
-        the freedoms before it.
+        """For each degree of freedom j: the first degree of freedom of its joint, the end of its subtree, and a mask of
+        its ancestors among those before it.
 
-        Branches stand one after the other: what is beyond j stands together.
+        Branches are stored consecutively, so a subtree is a contiguous range.
         """
         segments, places = self.mechanism.segments, [freedom.place for freedom in self._freedoms]
         reached = np.eye(len(segments), dtype=bool)
@@ -234,21 +241,23 @@ class _Perturbed:
 
     @functools.cached_property
     def _motions(self) -> Expr:
-        """S of all freedoms, as rows (N, 6)."""
+        """The motion columns S of all degrees of freedom, as rows (N, 6)."""
         return Stack(*(freedom.S for freedom in self._freedoms))
 
     @functools.cached_property
     def _felt(self) -> Expr:
-        """I S of all freedoms, as rows (N, 6): the wrench of a unit acceleration."""
+        """I S of all degrees of freedom, as rows (N, 6): the wrench of a unit acceleration."""
         return Stack(*(self._spreads[freedom.place].inertia(freedom.S) for freedom in self._freedoms))
 
     @functools.cached_property
     def _turned(self) -> Expr:
-        """The angular parts of B' S of all freedoms, as rows (N, 3)."""
+        """The angular parts of B' S of all degrees of freedom, as rows (N, 3)."""
         return Stack(*(self._spreads[freedom.place].coupled_back(freedom.S) for freedom in self._freedoms))
 
     def by_motion(self) -> tuple[Expr, Expr]:
-        """The derivatives of the forces by positions and velocities, without the parts of `moved` and `hastened`."""
+        """The derivatives of the forces with respect to positions and velocities, without the parts of `moved` and
+        `hastened`.
+        """
         by_q, by_qd = list[Expr](), list[Expr]()
         for freedom, place in zip(self._freedoms, self._tree, strict=True):
             spread, (first, end, _) = self._spreads[freedom.place], place
@@ -262,7 +271,7 @@ class _Perturbed:
 
     @functools.cached_property
     def mass_matrix(self) -> Expr:
-        """The mass matrix M (n, n), with the rotors."""
+        """The mass matrix M (n, n), including rotors."""
         columns: list[Expr] = []
         for k, (freedom, place) in enumerate(zip(self._freedoms, self._tree, strict=True)):
             column = self._column(place, self._felt[place[0] : place[1]] @ freedom.S, self._felt[k])
@@ -271,8 +280,8 @@ class _Perturbed:
         return self._gathered(columns)
 
     def _column(self, place: tuple[int, int, Constant], beyond: Expr, carried: Expr) -> Expr:
-        """One column of joint forces (N,): `beyond` for the subtree of a freedom, and for its ancestors the force of
-        the wrench `carried`.
+        """One column of joint forces (N,): `beyond` for the subtree of a degree of freedom, and for its ancestors the
+        force of the wrench `carried`.
         """
         first, end, on_path = place
         parts = [beyond, Constant(np.zeros(len(self._freedoms) - end))]
@@ -281,17 +290,19 @@ class _Perturbed:
         return Concat(*parts)
 
     def _gathered(self, columns: list[Expr]) -> Expr:
-        """From rows and columns of joints to those of the velocities (n, n): followers add to their leaders."""
+        """Rows and columns of joints, summed to those of the velocities (n, n): mimic joints add to the joints that
+        they follow.
+        """
         pairs = Stack(*columns).T
         G = np.zeros((len(self._freedoms), self.mechanism.dofs))
         for row, freedom in enumerate(self._freedoms):
             G[row, freedom.entry] = freedom.ratio
         return pairs if np.array_equal(G, np.eye(len(G))) else Constant(G.T) @ pairs @ Constant(G)
 
-    # ---- by the acceleration of the first segments -------------------------------------------------------------------
+    # ---- effect of the acceleration of the first segments -----------------------------------------------------------
 
     def by_acceleration(self, changes: dict[int, Expr]) -> Expr:
-        """The change of the forces by a change of the accelerations of the first segments."""
+        """The change of the forces under a change of the accelerations of the first segments."""
         N, columns = len(self._freedoms), list[Expr]()
         for number, (first, end, _) in enumerate(self._tree):
             felt = self._felt[first:end] @ changes.get(number, _NOTHING)
@@ -307,7 +318,7 @@ class _Perturbed:
         columns: list[Expr] = [Constant(np.zeros(n))] * n
         for number, change in changes.items():
             root = segments[self._freedoms[number].place]
-            # H of six freedoms is square: the accelerations are H^-1 of the change.
+            # H of six degrees of freedom is square: the accelerations are H^-1 of the change.
             basis = root.link.joint.actuation_basis.T
             spread = np.zeros((n, 6))
             spread[list(root.freedoms), range(6)] = 1.0

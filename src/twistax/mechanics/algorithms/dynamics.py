@@ -1,6 +1,6 @@
-"""Dynamics of mechanisms as expressions: forces of accelerations (RNEA), the reverse (ABA), mass matrix (CRBA).
+"""Dynamics of mechanisms as expressions: inverse dynamics (RNEA) and mass matrix (CRBA); `forward_dynamics.py` has ABA.
 
-`motion.py` says what the recursions carry from body to body.
+`motion.py` describes the quantities that the recursions propagate from body to body.
 
 Source: R. Featherstone, Rigid Body Dynamics Algorithms (2008): section 5.3 for RNEA, 6.2 for CRBA, 7.3 for ABA.
 """
@@ -23,7 +23,7 @@ from .inertia_frames import in_frame
 from .motion import ZERO, acceleration_of_base, accelerations, inertia_of, motion
 from .rotors import turning_of_rotors
 
-#: Wrenches (6,) by the names of the frames they act in, at their origins and in their axes.
+#: Wrenches (6,) by the name of a frame, about its origin and in its axes.
 Wrenches = Mapping[str, ExprLike]
 
 _NOTHING = Constant(0.0)
@@ -37,10 +37,11 @@ def inverse_dynamics(
     *,
     wrenches: Wrenches | None = None,
 ) -> Expr:
-    """The joint forces (n,) that cause accelerations qdd, by the recursive Newton-Euler algorithm (RNEA): N for a
-    slide, N m for a turn.
+    """The joint forces (n,) for accelerations qdd, by the recursive Newton-Euler algorithm (RNEA): N for translations,
+    N m for rotations.
 
-    A pass from the base to the tips computes twists W and accelerations B; a pass from the tips to the base computes
+    A pass from the base to the tips computes angular velocities (as W = [0; w]) and accelerations B; a pass from the
+    tips to the base computes
 
         $F = M B + ad*_W(M W) + X - F_given + sum Ad*_T F_after, tau = H^T F$
 
@@ -52,10 +53,10 @@ def inverse_dynamics(
         mechanism: a tree or a chain.
         q, qd: positions and velocities (n,); the states of the mechanism by default.
         qdd: accelerations (n,), the rates of qd; zero by default.
-        wrenches: external wrenches (6,) by name of frame, in the axes of the frame.
+        wrenches: external wrenches (6,) by name of frame, about its origin and in its axes.
     Raises:
-        ShapeError: an argument of another shape.
-        ModelError: positions or frames that are not known.
+        ShapeError: an argument of the wrong shape.
+        ModelError: unknown positions or frames.
     """
     checked("inverse_dynamics", mechanism)
     rates = mechanism.coordinates("inverse_dynamics", "qdd", np.zeros(mechanism.dofs) if qdd is None else qdd)
@@ -73,7 +74,9 @@ def carried_wrenches(
     *,
     of_velocities: bool = False,
 ) -> list[Expr]:
-    """F (6,) of every segment, in its frame: the wrench through its joint; or only the part that vanishes with qd."""
+    """F (6,) of every segment, in its frame: the wrench through its joint; optionally only the part that vanishes with
+    qd.
+    """
     moving = motion(mechanism, mechanism.positions(owner, q), mechanism.coordinates(owner, "qd", qd))
     base = acceleration_of_base(ZERO if of_velocities else mechanism.gravity)
     B = accelerations(mechanism, moving, qdd, base)
@@ -88,7 +91,9 @@ def carried_wrenches(
 
 
 def _gathered(mechanism: KinematicTree, needed: list[Expr], qd: Expr, qdd: Expr) -> Expr:
-    """The joint forces H' F (n,) plus those of the rotors; forces of followers add to those of their leaders."""
+    """The joint forces H' F (n,) plus those of the rotors; forces of mimic joints add to those of the joints that they
+    follow.
+    """
     tau: list[list[Expr]] = [[] for _ in range(mechanism.dofs)]
     for segment, F in zip(mechanism.segments, needed, strict=True):
         for k, i in enumerate(segment.freedoms):
@@ -108,7 +113,7 @@ def bias_forces(
 ) -> Expr:
     """The bias b (n,) in $M qdd + b = tau$: gravity, Coriolis and centrifugal forces minus external wrenches, N or N m.
 
-    Raises as `inverse_dynamics` does.
+    Raises the errors of `inverse_dynamics`.
     """
     return inverse_dynamics(mechanism, q, qd, wrenches=wrenches)
 
@@ -118,7 +123,7 @@ def gravity_forces(mechanism: KinematicTree, q: Positions | None = None) -> Expr
 
     They include the forces of masses that move inside their bodies.
 
-    Raises as `inverse_dynamics` does.
+    Raises the errors of `inverse_dynamics`.
     """
     checked("gravity_forces", mechanism)
     return inverse_dynamics(mechanism, q, np.zeros(mechanism.dofs))
@@ -128,19 +133,19 @@ def coriolis_forces(mechanism: KinematicTree, q: Positions | None = None, qd: Ex
     """Coriolis and centrifugal forces $c(q, qd) = C(q, qd) qd$ (n,), N or N m: the part of the bias that vanishes at
     rest.
 
-    Raises as `inverse_dynamics` does.
+    Raises the errors of `inverse_dynamics`.
     """
     owner, still = "coriolis_forces", Constant(np.zeros(checked("coriolis_forces", mechanism).dofs))
     needed = carried_wrenches(owner, mechanism, q, qd, still, None, of_velocities=True)
     return _gathered(mechanism, needed, mechanism.coordinates(owner, "qd", qd), still)
 
 
-#: The field's short name.
+#: The usual abbreviation.
 rnea = inverse_dynamics
 
 
 def mass_matrix(mechanism: KinematicTree, q: Positions | None = None) -> Expr:
-    """The mass matrix M (n, n) of a mechanism: kinetic energy $qd.M qd / 2$, joint forces $M qdd + b(q, qd)$.
+    """The mass matrix M (n, n) of a mechanism: kinetic energy $qd^T M qd / 2$, joint forces $M qdd + b(q, qd)$.
 
     Its entries are in kg, kg m and kg m2.
 
@@ -150,9 +155,9 @@ def mass_matrix(mechanism: KinematicTree, q: Positions | None = None) -> Expr:
     Source: Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 6.
 
     Args:
-        mechanism: a tree or a chain; gravity does not matter.
+        mechanism: a tree or a chain; its gravity is ignored.
         q: positions; the states of the mechanism by default.
-    Raises: ShapeError, ModelError: positions of another shape or name.
+    Raises: ShapeError, ModelError: positions of the wrong shape, or with unknown names.
     """
     checked("mass_matrix", mechanism)
     places = mechanism.positions("mass_matrix", q)
@@ -197,7 +202,7 @@ def composite_inertias(mechanism: KinematicTree, positions: list[Expr]) -> list[
 
 
 def checked(owner: str, mechanism: KinematicTree) -> KinematicTree:
-    """The mechanism itself. Raises ModelError for anything else, and where no joint moves."""
+    """The mechanism itself. Raises ModelError for other objects, and if no joint moves."""
     if not isinstance(mechanism, KinematicTree):
         raise ModelError(
             f"{owner} expects a mechanism, such as tx.mechanics.Chain(links), got {type(mechanism).__name__}"
@@ -208,7 +213,7 @@ def checked(owner: str, mechanism: KinematicTree) -> KinematicTree:
 
 
 def outside(owner: str, mechanism: KinematicTree, wrenches: Wrenches | None) -> list[Expr | None]:
-    """The sum of the external wrenches on each segment, in its frame; None without any."""
+    """The sum of the external wrenches on each segment, in its frame; None if there are none."""
     outer_wrenches: list[Expr | None] = [None] * len(mechanism.segments)
     if wrenches is not None and not isinstance(wrenches, Mapping):
         raise ModelError(f"{owner} expects wrenches as a mapping from names of frames, got {type(wrenches).__name__}")
@@ -224,5 +229,5 @@ def outside(owner: str, mechanism: KinematicTree, wrenches: Wrenches | None) -> 
 
 
 def less(needed: Expr, applied: Expr | None) -> Expr:
-    """What remains to be exerted."""
+    """The difference `needed - applied`; `applied` may be None."""
     return needed if applied is None else needed - applied

@@ -28,24 +28,24 @@ def forward_dynamics(
     *,
     wrenches: Wrenches | None = None,
 ) -> Expr:
-    """The joint accelerations (n,) under joint forces tau, by the articulated-body algorithm (ABA): m/s2 for a slide,
-    rad/s2 for a turn.
+    """The joint accelerations (n,) under joint forces tau, by the articulated-body algorithm (ABA): m/s2 for
+    translations, rad/s2 for rotations.
 
-    It solves $M(q) qdd + b(q, qd) = tau$ in O(n). A pass from the tips to the base computes for each segment the
-    articulated inertia I and bias b, so that the wrench on the segment is I B + b at an acceleration B of the segment;
-    a pass from the base to the tips computes the accelerations. If joints mimic others, or loops are closed, the
-    equations of the mass matrix are solved instead.
+    It solves $M(q) qdd + b(q, qd) = tau$ in O(n). A pass from the tips to the base computes the articulated inertia I
+    and bias b of each segment: the wrench on the segment is I B + b for its acceleration B. A pass from the base to the
+    tips then computes the accelerations. If joints mimic others, or there are loop constraints, the equations of motion
+    are solved with the mass matrix instead.
 
     Source: Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 7.
 
     Args:
         mechanism: a tree or a chain.
         q, qd: positions and velocities (n,); the states of the mechanism by default.
-        tau: joint forces (n,), N for a slide, N m for a turn; zero by default.
-        wrenches: external wrenches (6,) by name of frame, in the axes of the frame.
+        tau: joint forces (n,), N for translations, N m for rotations; zero by default.
+        wrenches: external wrenches (6,) by name of frame, about its origin and in its axes.
     Raises:
-        ShapeError: an argument of another shape.
-        ModelError: positions or frames that are not known; a joint that moves no mass.
+        ShapeError: an argument of the wrong shape.
+        ModelError: unknown positions or frames; a joint that moves no mass.
     """
     owner = "forward_dynamics"
     checked(owner, mechanism).check_masses(owner)
@@ -80,12 +80,12 @@ def forward_dynamics(
     return Concat(*qdd)
 
 
-#: The field's short name.
+#: The usual abbreviation.
 aba = forward_dynamics
 
 
 class _Hinge:
-    """A joint with its subtree, on which the wrench I B + b acts. Its freedoms are eliminated one by one."""
+    """A joint with its subtree, on which the wrench I B + b acts. Its degrees of freedom are eliminated one by one."""
 
     def __init__(self, moving: Moving, I: Expr, b: Expr, forces: Expr) -> None:
         self.moving, self.freedoms = moving, list[_Freedom]()
@@ -96,9 +96,10 @@ class _Hinge:
         self.rigid = None if self.freedoms else (I, b)
 
     def felt_before(self) -> tuple[Expr, Expr]:
-        """Its contribution to I and b of the segment before, in that frame: Ad*_T I_a Ad_T^-1 and Ad*_T (b_a + I_a c).
+        """Its contribution to I and b of the parent segment, in the parent's frame: Ad*_T I_a Ad_T^-1 and Ad*_T (b_a +
+        I_a c).
 
-        c is what B gets from the velocities.
+        c is the part of B that depends on the velocities.
         """
         moving, link = self.moving, self.moving.segment.link
         if self.rigid is None:
@@ -110,11 +111,12 @@ class _Hinge:
 
 
 class _Freedom:
-    """One freedom of a joint, with motion column H, on bodies with the wrench I B + b.
+    """One degree of freedom of a joint, with motion column H, on bodies with the wrench I B + b.
 
-    With U = I H and D = H' U + the rotor's inertia it accelerates by (tau - H' b - U' B) / D, B that of the segment but
-    for this freedom's. Without a rotor U / D is h* + U_R / D, with h* the working wrench and U_R what the bearing
-    carries of U: written so, the entries of I - U U' / D along the joint are exact zeros.
+    With U = I H and D = H' U + rotor inertia, its acceleration is (tau - H' b - U' B) / D, where B is the acceleration
+    of the segment without this degree of freedom. Without a rotor U / D is h* + U_R / D, with h* the working wrench and
+    U_R the part of U that the bearing carries. In this form the entries of I - U U' / D along the joint are exact
+    zeros.
     """
 
     def __init__(self, moving: Moving, k: int, I: Expr, b: Expr, tau: Expr) -> None:

@@ -1,4 +1,4 @@
-"""Symmetric 6x6 inertias [M H; H' J] in other frames; equal entries are computed once."""
+"""Symmetric 6x6 inertias [M H; H' J] in other frames; equal entries are computed only once."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ...expr.lie import AxisRotation, CoadjointAction, translation
 from ...expr.lie.elements import parts_of_pose
 from ..screws import complement
 
-#: Factors of the entries of 3x3 matrices.
+#: Indices of the factors in the entries of 3x3 matrices.
 _REFLECTED = np.array([[1.0, -1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
 _ACROSS = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
 _ALONG = np.diag([1.0, -1.0, 0.0])
@@ -43,10 +43,11 @@ def _turned_about_axis(R: AxisRotation, I: Expr) -> Expr:
 
 
 def _turned_about_z(X: Expr, angle: Expr) -> Expr:
-    """R X R' (3, 3), R the turn about z: entries with z turn like vectors, the others by the double angle.
+    """R X R' (3, 3) for a rotation R about z: entries with one index z transform like vectors, the others with the
+    double angle.
 
-    With y = s (x00 - x11) + c (x01 + x10) the latter are [x00 - s y, c y - x10; c y - x01, x11 + s y]: eleven
-    operations in place of 24.
+    With y = s (x00 - x11) + c (x01 + x10), the latter are [x00 - s y, c y - x10; c y - x01, x11 + s y], which takes
+    eleven operations in place of 24.
     """
     R, s, c = AxisRotation(angle, (0.0, 0.0, 1.0)), Sin(angle), Cos(angle)
     y = s * (X[0, 0] - X[1, 1]) + c * (X[0, 1] + X[1, 0])
@@ -55,6 +56,6 @@ def _turned_about_z(X: Expr, angle: Expr) -> Expr:
 
 
 def rotation_to(axis: tuple[float, ...]) -> NDArray[np.float64]:
-    """A rotation C (3, 3) with C z = axis: a permutation, signs apart, where the axis is one of the coordinates."""
+    """A rotation C (3, 3) with C z = axis; a permutation up to signs if the axis is a coordinate axis."""
     C = np.column_stack([complement(np.array(axis)[:, None]), axis])
     return C if np.linalg.det(C) > 0.0 else C[:, [1, 0, 2]]

@@ -1,6 +1,6 @@
-"""Jacobians of frames: how velocities of a mechanism move a frame, in the axes an engineer wants them in.
+"""Jacobians of frames: the velocity of a frame due to the velocities of a mechanism, in selectable axes.
 
-The columns are those of the joints between the base and the frame; all others are zero and cost nothing.
+Only the columns of joints between the base and the frame are computed; all others are zero.
 
 Source: K. Lynch, F. Park, Modern Robotics (2017), chapter 5, for body and space Jacobians, there [w; v].
 """
@@ -27,7 +27,7 @@ class Axes:
     """The axes and the reference point of a twist: one of `BODY`, `WORLD` and `ALIGNED`.
 
     Attributes:
-        name: for messages.
+        name: the name in messages.
     """
 
     name: str
@@ -36,11 +36,11 @@ class Axes:
         return self.name
 
 
-#: In the frame's own axes, about its own origin: the body twist.
+#: In the frame's own axes, about the frame's origin: the body twist.
 BODY = Axes("BODY")
 #: In the base's axes, about the base's origin: the spatial twist.
 WORLD = Axes("WORLD")
-#: In the base's axes, about the frame's own origin: the velocity of that point, and the angular velocity.
+#: In the base's axes, about the frame's origin: the velocity of that point, and the angular velocity.
 ALIGNED = Axes("ALIGNED")
 
 
@@ -50,8 +50,8 @@ def frame_twist(
     """The velocity (6,) of a frame relative to the base, $[v; w] = J qd$ in m/s and rad/s, in the chosen axes.
 
     Raises:
-        ShapeError: positions or velocities of another shape.
-        ModelError: a frame that is not known.
+        ShapeError: positions or velocities of the wrong shape.
+        ModelError: an unknown frame.
     """
     V = checked("frame_twist", mechanism).twist(frame, q, qd)
     return AdjointAction(_to(axes, mechanism.pose(frame, q)), V)
@@ -60,7 +60,7 @@ def frame_twist(
 def frame_jacobian(mechanism: KinematicTree, frame: str, q: Positions | None = None, axes: Axes = BODY) -> Expr:
     """The Jacobian J (6, n) of a frame: $J qd = [v; w]$ is its velocity, m/s and rad/s, in the chosen axes.
 
-    Raises as `frame_twist` does.
+    Raises the errors of `frame_twist`.
     """
     path = _Path("frame_jacobian", mechanism, frame, q)
     _known(axes)
@@ -73,8 +73,8 @@ def frame_jacobian(mechanism: KinematicTree, frame: str, q: Positions | None = N
 def frame_jacobian_rate(
     mechanism: KinematicTree, frame: str, q: Positions | None = None, qd: ExprLike | None = None, axes: Axes = BODY
 ) -> Expr:
-    """The time derivative J' (6, n) of `frame_jacobian`: $J qdd + J' qd$ is the rate of `frame_twist`. Raises as that
-    does.
+    """The time derivative J' (6, n) of `frame_jacobian`: $J qdd + J' qd$ is the rate of `frame_twist`. Raises the
+    errors of `frame_twist`.
     """
     path = _Path("frame_jacobian_rate", mechanism, frame, q)
     _known(axes)
@@ -89,7 +89,7 @@ def frame_jacobian_rate(
     rate = path.gathered(lambda j, H: AdjointAction(path.poses[j], Adjoint(twists[j], H)))
     if axes is WORLD:
         return rate
-    # The point that it is about moves as well: of [v - p x w; w] the term p' x w.
+    # The reference point moves as well: this gives the term p' x w in the rate of [v - p x w; w].
     v = linear(AdjointAction(_to(axes, path.pose), V))
     dragged = path.gathered(
         lambda j, H: twist(linear=Cross(v, angular(AdjointAction(path.poses[j], H))), angular=Constant(np.zeros(3)))
@@ -98,19 +98,19 @@ def frame_jacobian_rate(
 
 
 def _about(T: Expr) -> Expr:
-    """The pose of axes parallel to the base's at the origin of a frame."""
+    """The pose of a frame with the base's axes and the origin of another frame."""
     return translation(T[:3, 3])
 
 
 def _to(axes: Axes, T: Expr) -> Expr:
-    """The pose whose Adjoint brings a body twist of a frame, with the pose T, into the axes."""
+    """The pose whose Adjoint transforms the body twist of a frame with pose T into the axes."""
     if _known(axes) is BODY:
         return Constant(np.eye(4))
     return T if axes is WORLD else Compose(Inverse(_about(T)), T)
 
 
 def _known(axes: Axes) -> Axes:
-    """The axes themselves. Raises ModelError for anything else."""
+    """The axes themselves. Raises ModelError for other objects."""
     if not any(axes is known for known in (BODY, WORLD, ALIGNED)):
         raise ModelError(f"axes must be BODY, WORLD or ALIGNED of twistax.mechanics, got {axes!r}")
     return axes

@@ -1,4 +1,4 @@
-"""The wrench that a joint carries, in any frame."""
+"""The wrench that a joint transmits, in any frame."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ def joint_wrench(
 ) -> Expr:
     """The wrench F = [f; tau] (6,), N and N m, that a joint exerts on the link it carries: motor and bearing together.
 
-    It is the F of `inverse_dynamics`: the inertial wrench of the segment, $M B + ad*_W(M W)$, and the wrenches of all
-    segments that it carries. `joint.actuation(F)` is the part of the motor, `joint.reaction(F)` that of the bearing.
-    For the wrench during a motion use
+    It is F in the equations of `inverse_dynamics`: the inertial wrench of the segment, $M B + ad*_W(M W)$, plus the
+    wrenches on all segments that it carries, minus external wrenches. `joint.actuation(F)` is the generalised force of
+    the motor, `joint.reaction(F)` the wrench of the bearing. For the wrench during a motion use
     `mechanism.system(outputs=lambda qdd, tau: {"load": joint_wrench(mechanism, joint, qdd=qdd)})`.
 
     Args:
         mechanism: a tree or a chain.
-        joint: name of the joint. A Fixed joint must be named in `keep=` of the mechanism.
+        joint: name of the joint. A Fixed joint must be named in the mechanism's `keep=`.
         q, qd, qdd: positions, velocities and accelerations; qdd zero by default.
         frame: the frame in whose axes and about whose origin F is expressed; by default that of the joint's link.
-        wrenches: external wrenches (6,) by name of frame, in the axes of the frame.
+        wrenches: external wrenches (6,) by name of frame, about its origin and in its axes.
     Raises:
-        ShapeError: an argument of another shape.
-        ModelError: a joint or frame that is not known.
+        ShapeError: an argument of the wrong shape.
+        ModelError: an unknown joint or frame.
     """
     owner = "joint_wrench"
     i = checked(owner, mechanism).segments.index(mechanism.segment_of(joint))

@@ -1,14 +1,15 @@
-"""Rows of closed loops: which of them are independent in a posture, and the shortest wrenches of all of them.
+"""Rows of loop constraints: which of them are independent in a configuration, and the minimum-norm wrenches of all of
+them.
 
-With D the measures of the closures' wrenches and E those of the velocities, see `loops.Metric`, the rows G become
-$G_s = D G E^-1$, of lengths of order one where the motions of the two frames do not cancel. Of these, those are chosen
-that stand off the others (`tx.linalg.IndependentRows`); the motion needs no more. Their multipliers mu make the forces
-G' mu of the joints. With X the combinations of the rows chosen that all rows are, $X^T G_s,chosen = G_s$, the shortest
-multipliers with the same forces are
+Let D and E be the scales of constraint wrenches and of velocities, see `loops.Metric`. The scaled rows $G_s = D G E^-1$
+have lengths of order one, unless the motions of the two frames cancel. Rows that are linearly independent of the others
+are selected (`tx.linalg.IndependentRows`); these determine the motion. Their multipliers mu cause the joint forces G'
+mu. Let X express all rows as combinations of the selected ones, $X^T G_s,chosen = G_s$. The minimum-norm multipliers
+with the same joint forces are
 
     lambda = X' (X X')^-1 mu.
 
-Where no row is left out X is the identity. Columns of X of rows that are shorter than the tolerance are zero.
+If no row is omitted, X is the identity. Columns of X for rows that are shorter than the tolerance are zero.
 """
 
 from __future__ import annotations
@@ -38,27 +39,29 @@ from ...expr import (
 from ..kinematic_tree import KinematicTree
 from .inertia_frames import mirrored
 
-#: Systems of more unknowns are LAPACK's.
+#: Larger systems are solved by LAPACK.
 _SMALL = 48
-#: The length of a row of G_s of two frames of which one moves by a joint, alone. Where all rows are much shorter the
-#: frames move as one, as those of a second hinge on the axis of the first do: the rows are what misalignment is.
+#: The length of a row of G_s for two frames that a single joint moves relative to each other. If all rows are much
+#: shorter, the frames move together, as with a second hinge on the axis of the first; the rows then express
+#: misalignment only.
 UNIT = 1.0
-#: So many rows are compared with one another; of more those of one closure at a time, which costs less.
+#: Up to this number, all rows are compared with one another; above it, the rows of one loop constraint at a time, which
+#: is cheaper.
 _AT_ONCE = 12
 
 
 def solved(A: Expr, b: Expr) -> Expr:
-    """A^-1 b for a positive definite A: small ones as scalars, large ones by LAPACK, which compiles faster."""
+    """A^-1 b for a positive definite A: small systems in scalar form, large ones by LAPACK, which compiles faster."""
     return SolvePositive(A, b) if A.shape[0] <= _SMALL else Solve(A, b)
 
 
 class LoopRows:
-    """The closure rows G (m, n) of a mechanism at one configuration."""
+    """The rows G (m, n) of the loop constraints of a mechanism at one configuration."""
 
     def __init__(self, mechanism: KinematicTree, G: Expr) -> None:
         self.G, self._metric = G, mechanism.loop_metric
         length = characteristic_length(mechanism)
-        #: D (m,) and E (n,), m for turns.
+        #: D (m,) and E (n,), m for rotations.
         self.measures = np.concatenate([_lengths(loop.constraint_basis.value.T, length) for loop in mechanism.loops])
         self.speeds = _speeds(mechanism, length)
         self._blocks = tuple(loop.rows for loop in mechanism.loops)
@@ -75,7 +78,7 @@ class LoopRows:
 
     @functools.cached_property
     def independent(self) -> Expr:
-        """Which rows are selected, and the distances of all rows, (2, m)."""
+        """Which rows are selected, and the distance of every row from the span of those selected before it, (2, m)."""
         blocks = () if len(self.measures) <= _AT_ONCE else self._blocks
         return IndependentRows(self.gram, float(self._metric.tolerance), blocks, UNIT)
 
@@ -90,7 +93,7 @@ class LoopRows:
         return solved(self._of_chosen(A), wanted)
 
     def shortest(self, mu: Expr) -> Expr:
-        """The smallest lambda (m,) equivalent to multipliers mu (m,) of the selected rows."""
+        """The minimum-norm lambda (m,) that is equivalent to multipliers mu (m,) of the selected rows."""
         if len(self.measures) == 1:
             return mu
         X = solved(self._of_chosen(self.gram), self.chosen[:, None] * self.gram) * self._felt
@@ -113,12 +116,12 @@ class LoopRows:
 
 
 def characteristic_length(mechanism: KinematicTree) -> float:
-    """The length l of the metric, m, by default from the mechanism with its parameter values."""
+    """The length l of the metric, m; by default computed from the mechanism with its parameter values."""
     if mechanism.loop_metric.length is not None:
         return float(mechanism.loop_metric.length)
     places = [numbers(link.mount[:3, 3]) for link in mechanism.links]
     on_base = [link.parent in (None, mechanism.base) for link in mechanism.links]
-    # The position of the mechanism is not its size: positions on the base are relative to the first of them.
+    # The location of the mechanism is not its size: positions on the base are relative to the first of them.
     origin = places[on_base.index(True)]
     distances = [float(np.linalg.norm(place - origin * at)) for place, at in zip(places, on_base, strict=True)]
     distances = [length for length in distances if length > 0.0]
@@ -126,7 +129,7 @@ def characteristic_length(mechanism: KinematicTree) -> float:
 
 
 def numbers(expr: Expr) -> np.ndarray:
-    """The value of an expression at random states and the values of the parameters, or one."""
+    """The value of an expression at random states, with parameter values, or one for a parameter without a value."""
     if isinstance(expr, Constant):
         return expr.value
     rng, x, params = np.random.default_rng(0), dict[str, Any](), dict[str, Any]()
@@ -142,12 +145,12 @@ def numbers(expr: Expr) -> np.ndarray:
 
 
 def _lengths(wrenches: np.ndarray, length: float) -> np.ndarray:
-    """Of wrenches (k, 6): one over the root of |f|^2 + |tau / l|^2."""
+    """For wrenches (k, 6): one over the root of |f|^2 + |tau / l|^2."""
     return 1.0 / np.sqrt(np.sum(wrenches[:, :3] ** 2, axis=1) + np.sum(wrenches[:, 3:] ** 2, axis=1) / length**2)
 
 
 def _speeds(mechanism: KinematicTree, length: float) -> np.ndarray:
-    """Of every freedom the root of |v|^2 + |l w|^2 of the joints that it moves (n,)."""
+    """For every degree of freedom, the root of |v|^2 + |l w|^2 of the joints that it moves (n,)."""
     squares = np.zeros(mechanism.dofs)
     for segment in mechanism.segments:
         for k, i in enumerate(segment.freedoms):

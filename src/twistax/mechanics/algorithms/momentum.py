@@ -27,10 +27,10 @@ def _sum(terms: list[Expr], empty: Expr = _NOTHING) -> Expr:
 
 
 def kinetic_energy(mechanism: KinematicTree, q: Positions | None = None, qd: ExprLike | None = None) -> Expr:
-    """The kinetic energy (), J: the sum of $V.M V / 2$ over all bodies, plus that of rotors and of masses that move
+    """The kinetic energy (), J: the sum of $V^T M V / 2$ over all bodies, plus that of rotors and of masses that move
     inside bodies.
 
-    Raises ShapeError; ModelError if the rates of moving masses are not known.
+    Raises ShapeError for arguments of the wrong shape, and ModelError if the rates of moving masses are not known.
     """
     twists = checked("kinetic_energy", mechanism).twists(q, qd)
     terms = [body.kinetic_energy(twists[i]) for i, body in mechanism.bodies.items()]
@@ -44,7 +44,9 @@ def kinetic_energy(mechanism: KinematicTree, q: Positions | None = None, qd: Exp
 
 
 def potential_energy(mechanism: KinematicTree, q: Positions | None = None) -> Expr:
-    """$U = -sum m_i g . c_i$ over all bodies (), J: zero for masses at the base. Raises ShapeError."""
+    """The potential energy of gravity $U = -sum m_i g . c_i$ over all bodies (), J: zero for masses at the base's
+    origin. Raises ShapeError for positions of the wrong shape.
+    """
     poses = checked("potential_energy", mechanism).poses(q)
     lifted = [
         body.mass * Dot(mechanism.gravity, Act(poses[i], body.center_of_mass)) for i, body in mechanism.bodies.items()
@@ -53,7 +55,9 @@ def potential_energy(mechanism: KinematicTree, q: Positions | None = None) -> Ex
 
 
 def spring_energy(mechanism: KinematicTree, q: Positions | None = None) -> Expr:
-    """$sum k |q - q_0|^2 / 2$ over the springs of all drives (), J; of a ball q is Log R. Raises ShapeError."""
+    """The energy $sum k |q - q_0|^2 / 2$ of the springs of all drives (), J; for a ball joint the deflection is Log R.
+    Raises ShapeError for positions of the wrong shape.
+    """
     places = checked("spring_energy", mechanism).positions("spring_energy", q)
     terms: list[Expr] = []
     for segment, place in zip(mechanism.segments, places, strict=True):
@@ -64,7 +68,7 @@ def spring_energy(mechanism: KinematicTree, q: Positions | None = None) -> Expr:
 
 
 def total_mass(mechanism: KinematicTree) -> Expr:
-    """The mass of all bodies that move (), kg. Raises ModelError if no body moves."""
+    """The mass of all bodies on moving joints (), kg. Raises ModelError if no body moves."""
     masses = [body.mass for body in checked("total_mass", mechanism).bodies.values()]
     if not masses:
         raise ModelError("total_mass expects a mechanism with bodies, got rotors only")
@@ -72,9 +76,9 @@ def total_mass(mechanism: KinematicTree) -> Expr:
 
 
 def center_of_mass(mechanism: KinematicTree, q: Positions | None = None) -> Expr:
-    """$c = sum m_i c_i / sum m_i$ of all bodies that move (3,), m, in the base.
+    """The centre of mass $c = sum m_i c_i / sum m_i$ of all bodies on moving joints (3,), m, in the base.
 
-    Raises ShapeError; ModelError if there is no mass.
+    Raises ShapeError for positions of the wrong shape, and ModelError if there is no mass.
     """
     poses = checked("center_of_mass", mechanism).poses(q)
     moments = [body.mass * Act(poses[i], body.center_of_mass) for i, body in mechanism.bodies.items()]
@@ -83,9 +87,9 @@ def center_of_mass(mechanism: KinematicTree, q: Positions | None = None) -> Expr
 
 def spatial_momentum(mechanism: KinematicTree, q: Positions | None = None, qd: ExprLike | None = None) -> Expr:
     """The momentum [p; L] (6,) of all bodies about the BASE's origin, in the base's axes: the sum of Ad*_T M V. Raises
-    ShapeError.
+    ShapeError for arguments of the wrong shape.
 
-    Without external wrenches other than gravity, L changes by the moment of gravity and p by its force.
+    If gravity is the only external force, the rate of p is its force, and the rate of L its moment.
     """
     poses, twists = checked("spatial_momentum", mechanism).poses(q), mechanism.twists(q, qd)
     terms: list[Expr] = [CoadjointAction(poses[i], body.momentum(twists[i])) for i, body in mechanism.bodies.items()]
@@ -93,13 +97,16 @@ def spatial_momentum(mechanism: KinematicTree, q: Positions | None = None, qd: E
 
 
 def centroidal_momentum(mechanism: KinematicTree, q: Positions | None = None, qd: ExprLike | None = None) -> Expr:
-    """[p; L] (6,) of all bodies about their centre of mass, in the base's axes: N s and N m s. Raises ShapeError."""
+    """The momentum [p; L] (6,) of all bodies about their common centre of mass, in the base's axes: N s and N m s.
+    Raises ShapeError for arguments of the wrong shape.
+    """
     about_base = spatial_momentum(mechanism, q, qd)
     return CoadjointAction(translation(center_of_mass(mechanism, q)), about_base, inverse=True)
 
 
 def centroidal_matrix(mechanism: KinematicTree, q: Positions | None = None) -> Expr:
-    """The centroidal momentum matrix A (6, n), kg and kg m: $A qd$ is the centroidal momentum; columns $Ad*_T I_c H$.
+    """The centroidal momentum matrix A (6, n), kg and kg m: $A qd$ is the centroidal momentum. Its columns are $Ad*_T
+    I_c H$.
 
     Masses that move inside bodies have an additional momentum relative to their bodies, which $A qd$ does not contain.
 

@@ -1,20 +1,19 @@
-"""The outward pass of the recursions: velocities from the base to the tips, and what follows from them.
+"""The pass of the recursions from the base to the tips: velocities, and the terms that follow from them.
 
-In place of the rate A of a body's twist, in its own frame, the recursions carry
+In place of the rate A of a body's twist, in the body's frame, the recursions propagate
 
     B = A + [w x v; 0],
 
-the acceleration of the frame's origin and the angular acceleration. With W = [0; w] Newton and Euler then say
-F = M B + ad*_W(M W), and linear velocities appear nowhere. From one segment to the next, with T the pose of a segment
-in the one before, p its origin there, H qd = [s; r] the twist across its joint, and w_0 the angular velocity of the one
-before in the axes of this one:
+the acceleration of the frame's origin and the angular acceleration. With W = [0; w], the Newton-Euler equations are F =
+M B + ad*_W(M W), without linear velocities. Let T be the pose of a segment in its parent segment, p its origin there, H
+qd = [s; r] the twist across its joint, and w_0 the angular velocity of the parent in the axes of this segment:
 
     w = w_0 + r
     B = Ad_T^-1 (B_before + [w x (w x p); 0]) + [(w_0 + w) x s; w_0 x r] + H qdd
 
-where the first bracket has the w of the one before. Gravity is an acceleration of the base upwards.
+where the first bracket has the w of the parent. Gravity is an upward acceleration of the base.
 
-Source: R. Featherstone, Rigid Body Dynamics Algorithms (2008): section 2.11 for B.
+Source: R. Featherstone, Rigid Body Dynamics Algorithms (2008), section 2.11, for B (the classical acceleration).
 """
 
 from __future__ import annotations
@@ -36,23 +35,25 @@ _NO_WRENCH = Constant(np.zeros(6))
 
 @dataclasses.dataclass(frozen=True)
 class Moving:
-    """A segment in motion. Six-vectors are in its frame, but for `centripetal`, which is in that of the one before."""
+    """The motion of a segment. Six-vectors are in its frame, except `centripetal`, which is in that of its parent."""
 
     segment: Segment
     placement: Expr  # pose of the joint's child frame in its parent frame
-    T: Expr  # pose of the segment in the one before
+    T: Expr  # pose of the segment in its parent
     w: Expr  # angular velocity (3,)
-    centripetal: Expr  # [w x (w x p); 0] of the one before
+    centripetal: Expr  # [w x (w x p); 0] of the parent
     coriolis: Expr  # [(w_0 + w) x s; w_0 x r]
 
     @property
     def inertia(self) -> Expr:
-        """M (6, 6)."""
+        """The inertia M (6, 6)."""
         return inertia_of(self.segment)
 
     @property
     def gyroscopic(self) -> Expr:
-        """ad*_W(M W) (6,), and what turns masses that move in the body with it: what vanishes with w."""
+        """The wrench ad*_W(M W) (6,) with the corresponding terms of masses that move in the body;
+        it vanishes with w.
+        """
         if self.segment.body is None:
             return _NO_WRENCH
         W = twist(linear=ZERO, angular=self.w)
@@ -61,27 +62,27 @@ class Moving:
 
     @property
     def needed(self) -> Expr:
-        """The wrench (6,) on the body at B = 0."""
+        """The wrench (6,) on the body for B = 0."""
         inner = self.segment.inner_motion
         return self.gyroscopic if inner is None else self.gyroscopic + inner.still
 
     def carried(self, B_before: Expr) -> Expr:
-        """The acceleration (6,) of the segment at zero joint acceleration."""
+        """The acceleration (6,) of the segment for zero acceleration of its joint."""
         return AdjointAction(self.T, B_before + self.centripetal, inverse=True) + self.coriolis
 
 
 def inertia_of(segment: Segment) -> Expr:
-    """M (6, 6) of a segment, of zeros where it has no mass."""
+    """M (6, 6) of a segment; zero if it has no mass."""
     return _NO_INERTIA if segment.body is None else segment.body.matrix
 
 
 def acceleration_of_base(gravity: Expr) -> Expr:
-    """B (6,) of the base."""
+    """The acceleration B (6,) of the base."""
     return twist(linear=-gravity, angular=ZERO)
 
 
 def motion(mechanism: KinematicTree, positions: list[Expr], qd: Expr) -> list[Moving]:
-    """The outward pass: angular velocities and the terms that follow from them."""
+    """The pass from the base to the tips: angular velocities and the terms that follow from them."""
     moving: list[Moving] = []
     for segment, position in zip(mechanism.segments, positions, strict=True):
         T = segment.link.transform(position)
@@ -104,7 +105,7 @@ def motion(mechanism: KinematicTree, positions: list[Expr], qd: Expr) -> list[Mo
 
 
 def accelerations(mechanism: KinematicTree, moving: list[Moving], qdd: Expr, base: Expr) -> list[Expr]:
-    """B (6,) of every segment for joint accelerations (n,) and an acceleration of the base."""
+    """The accelerations B (6,) of all segments, for joint accelerations (n,) and an acceleration of the base."""
     B: list[Expr] = []
     for state in moving:
         before = state.segment.before

@@ -1,11 +1,11 @@
-"""What rotors of joints take beyond their inertia times the accelerations.
+"""The forces of joint rotors in addition to their inertia times the accelerations.
 
-A rotor of the inertia a on every freedom of a joint has the kinetic energy a (|v|^2 + |w|^2) / 2 of the twist [v; w]
-across the joint, in the axes of the child. Those turn, so that the rotor needs the forces
+Rotors with inertia a on all degrees of freedom of a joint have the kinetic energy a (|v|^2 + |w|^2) / 2, with [v; w]
+the twist across the joint in the child's axes. These axes rotate, so the rotors require the forces
 
     H' a [v' + w x v; w'].
 
-The middle term is left where a joint both slides and turns about another direction: in a plane, or freely.
+The term w x v remains if a joint translates and rotates about different directions, as planar and free joints do.
 
 Source: J. Marsden, T. Ratiu, Introduction to Mechanics and Symmetry (1999), section 13.5: the Euler-Poincare equations.
 """
@@ -23,7 +23,7 @@ from ..tree import Segment
 
 
 def turning_of_rotors(mechanism: KinematicTree, qd: Expr) -> Expr | None:
-    """H' a [w x v; 0] of all joints (n,), N; None where it vanishes for all velocities."""
+    """The forces H' a [w x v; 0] of all joints (n,), N; None if they vanish for all velocities."""
     terms: list[Expr] = [Constant(0.0)] * mechanism.dofs
     turning = list(_turning(mechanism))
     for segment, rotor in turning:
@@ -34,7 +34,7 @@ def turning_of_rotors(mechanism: KinematicTree, qd: Expr) -> Expr | None:
 
 
 def turning_of_rotor(mechanism: KinematicTree, segment: Segment, qd: Expr) -> Expr | None:
-    """w x v (3,) of one joint, for a rotor of one; None where it vanishes for all velocities."""
+    """The vector w x v (3,) of one joint, for a rotor with unit inertia; None if it vanishes for all velocities."""
     return _turned(mechanism, segment, qd) if _turns(segment) else None
 
 
@@ -44,7 +44,7 @@ def _turned(mechanism: KinematicTree, segment: Segment, qd: Expr) -> Expr:
 
 
 def turning_by_velocities(mechanism: KinematicTree, qd: Expr) -> Expr | None:
-    """The derivatives (n, n) of `turning_of_rotors` by the velocities."""
+    """The derivatives (n, n) of `turning_of_rotors` with respect to the velocities."""
     slopes: list[list[Expr]] = [[Constant(0.0)] * mechanism.dofs for _ in range(mechanism.dofs)]
     turning = list(_turning(mechanism))
     for segment, rotor in turning:
@@ -65,7 +65,9 @@ def _turning(mechanism: KinematicTree) -> Iterator[tuple[Segment, Expr]]:
 
 
 def _turns(segment: Segment) -> bool:
-    """Whether a rotor has such a term: a joint of one or two freedoms turns about the axis it slides on."""
+    """Whether a rotor has such a term. It does not if the joint has one or two degrees of freedom, a rotation about the
+    axis of its translation.
+    """
     H = segment.link.joint.motion_subspace
     still = isinstance(H, Constant) and not (np.any(H.value[:3]) and np.any(H.value[3:]))
     return len(segment.freedoms) > 2 and not still

@@ -1,13 +1,14 @@
-"""What the derivatives of the dynamics need of bodies, in one frame: the parts of I and B, which add up over bodies.
+"""The quantities of bodies that the derivatives of the dynamics need, in one frame: the parts of I and B, which are
+additive over bodies.
 
-Of a body with mass m, centre c, second moment of mass Sigma about the origin and twist V = [v; w],
+For a body with mass m, centre c, second moment of mass Sigma about the origin and twist V = [v; w],
 
     I x = V -> momentum = [m v + w x h; h x v + (tr Sigma - Sigma) w],    h = m c,
     B x = V x* I x - I (V x x) + x x* I V = 2 [-p x b; -(w x Sigma b) - h x (v x b)]    of x = [a; b],
 
-p the linear momentum: the terms with a cancel, and those with b are joined by Jacobi's identity and by
-J [w] + [w] J + [J w] = tr(J) [w]. So B is 12 numbers in place of 36. Masses that move within the body need the wrench
-X = X_0 + X_1 w, and add X_1 b to B x; the upper half of X_1 is -2 [m c'], that of their momentum.
+where p is the linear momentum. The terms with a cancel, and those with b combine by Jacobi's identity and by J [w] +
+[w] J + [J w] = tr(J) [w]. So B takes 12 numbers in place of 36. Masses that move within the body exert the wrench X =
+X_0 + X_1 w, and add X_1 b to B x; the upper half of X_1 is -2 [m c'], where m c' is the linear part of their momentum.
 """
 
 from __future__ import annotations
@@ -28,11 +29,11 @@ class Spread(NamedTuple):
     moment: Expr  # h (3,)
     second: Expr  # Sigma (3, 3)
     momentum: Expr  # p (3,)
-    turning: Expr  # -[w] Sigma - [h][v], and half of what X_1 has of moments (3, 3)
+    turning: Expr  # -[w] Sigma - [h][v], and half of the lower part of X_1 (3, 3)
 
     @classmethod
     def of(cls, segment: Segment, T: Expr, V: Expr) -> Spread:
-        """The spread of a segment's body with pose T and twist V in the frame."""
+        """The mass distribution of a segment's body with pose T and twist V in the frame."""
         body, inner = segment.body, segment.inner_motion
         if body is None:
             return cls(*(Constant(np.zeros(shape)) for shape in ((), (3,), (3, 3), (3,), (3, 3))))
@@ -50,15 +51,15 @@ class Spread(NamedTuple):
         return Spread(*(a + b for a, b in zip(self, other, strict=True)))
 
     def inertia(self, x: Expr) -> Expr:
-        """I x (6,)."""
+        """The wrench I x (6,)."""
         a, b = linear(x), angular(x)
         tensor = Trace(self.second) * np.eye(3) - self.second
         return twist(linear=self.mass * a - Cross(self.moment, b), angular=Cross(self.moment, a) + tensor @ b)
 
     def coupled(self, b: Expr) -> Expr:
-        """B x (6,), b (3,) the angular part of x."""
+        """The wrench B x (6,), with b (3,) the angular part of x."""
         return 2.0 * twist(linear=-Cross(self.momentum, b), angular=self.turning @ b)
 
     def coupled_back(self, x: Expr) -> Expr:
-        """The angular part (3,) of B' x; the linear one is zero."""
+        """The angular part (3,) of B' x; the linear part is zero."""
         return 2.0 * (Cross(self.momentum, linear(x)) + self.turning.T @ angular(x))

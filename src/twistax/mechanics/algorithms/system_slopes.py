@@ -1,4 +1,4 @@
-"""Derivatives of the accelerations of a mechanism's system, by the recursions."""
+"""Derivatives of the accelerations of a mechanism's system, by recursive algorithms."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from .jacobians import BODY, frame_jacobian
 def slopes_of_accelerations(
     mechanism: KinematicTree, forces: Expr, wrenches: Wrenches | None
 ) -> list[tuple[ExprLike, ExprLike]]:
-    """The derivatives of `forward_dynamics` by the states of positions and velocities, by forces and by wrenches.
+    """The derivatives of `forward_dynamics` with respect to positions, velocities, joint forces and wrenches.
 
-    Nothing where masses or lengths change with states or controls.
+    The list is empty if masses or lengths depend on states or controls.
     """
     if any(isinstance(leaf, (State, Control)) for leaf in leaves_of(*_numbers(mechanism))):
         return []
@@ -44,7 +44,7 @@ def slopes_of_accelerations(
 
 
 def _by_coordinates(segment: Segment, place: Expr, columns: Expr) -> Expr:
-    """From columns of velocities to columns of coordinates, whose rates may differ from the velocities."""
+    """From columns for velocities to columns for coordinates, whose rates may differ from the velocities."""
     joint = segment.link.joint
     if type(joint).rate is Joint.rate:
         return columns
@@ -52,7 +52,7 @@ def _by_coordinates(segment: Segment, place: Expr, columns: Expr) -> Expr:
 
 
 def _numbers(mechanism: KinematicTree) -> list[Expr]:
-    """All constants of a mechanism: geometry and inertia."""
+    """All constants of a mechanism, of its geometry and inertia."""
     numbers: list[Expr] = [mechanism.gravity]
     for segment in mechanism.segments:
         link, body = segment.link, segment.body

@@ -1,1 +1,1 @@
-"""Controllers of mechanisms by tasks."""
+"""Task-space controllers of mechanisms."""

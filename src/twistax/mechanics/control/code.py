@@ -1,4 +1,6 @@
-"""A differential controller as C99: the functions of its quadratic program, the solver's core, and one call."""
+"""A differential controller as C99 code: the functions of its quadratic program, the solver's core, and one function to
+call.
+"""
 
 from __future__ import annotations
 
@@ -25,13 +27,13 @@ from ...system.export.programs import Exporter, Port
 from ...system.system import System
 from ..mechanism_system import kinematics
 
-#: The arrays of a problem, in the order of squares.h.
+#: The arrays of a problem, in the order of `squares.h`.
 _PARTS = ("J", "w", "r", "damping", "A", "b", "C", "row_lower", "row_upper", "lower", "upper")
 _REAL = c_type(np.dtype(float))
 
 
 class _DifferentialCode:
-    """The files of a controller."""
+    """The generator of a controller's files."""
 
     def __init__(self, controller: Any, name: str) -> None:
         self._controller, self._name = controller, name
@@ -65,12 +67,12 @@ class _DifferentialCode:
 
     @property
     def arguments(self) -> list[tuple[Port, str]]:
-        """The arrays that a step takes, with their names in C."""
+        """The arrays that a step reads, with their names in C."""
         return [(port, self._names[port]) for port in self.exporter.arguments[1:]]
 
     @property
     def _functions(self) -> str:
-        """The function that writes the quadratic program, after its declaration."""
+        """The function that computes the quadratic program, after its declaration."""
         code = CCode(f"{self._name}_rows", self.exporter, [self.rows], self._names, _REAL)
         return code.header() + code.source().replace(f'#include "{self._name}_rows.h"\n', "")
 
@@ -145,7 +147,7 @@ def write_differential(
     folder, code = path_of("directory", directory), _DifferentialCode(controller, name)
     if states is None:
         if controller.controls:
-            raise InputError("to_c expects states with targets for the test: [(x, targets), ...]")
+            raise InputError("to_c expects states and targets for the test program, states=[(x, targets), ...]")
         drawn = controller.space.random(np.random.default_rng(0), 3)
         states = [({key: value[k] for key, value in drawn.items()},) for k in range(3)]
     steps = [(*state, *((None, {}, None)[len(state) :])) for state in states]

@@ -1,4 +1,4 @@
-"""Differential inverse kinematics: velocities that do several tasks at best, within limits, by a quadratic program."""
+"""Differential inverse kinematics: velocities that best satisfy several tasks within limits, by a quadratic program."""
 
 from __future__ import annotations
 
@@ -31,16 +31,17 @@ from .velocity_limits import VelocityBounds, as_freedoms, velocity_bounds
 
 
 class StepStatus(enum.IntEnum):
-    """How a step of a `DifferentialController` ended.
+    """The status of a step of a `DifferentialController`.
 
     - `SOLVED`: the velocities are the optimum.
-    - `OVERRUN`: the same, but with the allowed acceleration a joint cannot stop before its limit, or cannot reduce its
-      speed to the limit in time. It brakes; `DifferentialStep.overrun` names it.
+    - `OVERRUN`: the velocities are the optimum, but under the acceleration limit a joint cannot stop before its
+      position limit, or cannot reduce its speed to the speed limit in one step. It brakes; `DifferentialStep.overrun`
+      names it.
     - `INFEASIBLE`: no velocities satisfy the equalities, the constraints and the limits together.
     - `NOT_FINITE`: positions, targets or velocities have an entry that is not finite.
     - `FAILED`: the solver stopped before it found the optimum.
 
-    The last three have velocities as near to zero as the limits allow.
+    In the last three cases, the velocities are as close to zero as the limits allow.
     """
 
     SOLVED = 0
@@ -57,18 +58,18 @@ class StepStatus(enum.IntEnum):
 )
 @dataclasses.dataclass(frozen=True)
 class DifferentialStep:
-    """The result of a step, with leading axes under `jax.vmap`.
+    """The result of a step; arrays have leading axes under `jax.vmap`.
 
     Attributes:
         qd: (n,) velocities.
         x: the positions after dt at these velocities.
-        status: (), a number of `StepStatus`.
-        errors: by task e (m,), before the step; the equalities last.
-        overrun: (n,): whether a joint cannot keep its limits.
-        constraints: residuals (k,) before the step, at most zero where they hold.
-        start: of the solver for the next step.
-        iterations: () of the solver; 0 where the start sufficed.
-        joints: by freedom the name of its joint.
+        status: (), the number of a `StepStatus`.
+        errors: by task the error e (m,) before the step; the equalities follow the tasks.
+        overrun: (n,) whether a joint cannot satisfy its limits.
+        constraints: residuals (k,) before the step; satisfied if not positive.
+        start: the start of the solver for the next step.
+        iterations: () iterations of the solver; 0 if its start was optimal.
+        joints: the name of the joint for each degree of freedom.
     """
 
     qd: jax.Array
@@ -87,32 +88,32 @@ class DifferentialController:
 
     A call solves a dense quadratic program,
 
-        minimise    sum of $|w (J qd - k e)|^2 / 2$ over tasks, $+ (mu + regularization) |qd|^2 / 2$
-        subject to  $J qd = k e$ of the equalities,   $c' <= -k_c c$ of the constraints $c(q) <= 0$,
-                    limits of position, speed and acceleration,
+        minimise the sum of $|w (J qd - k e)|^2 / 2$ over tasks, $+ (mu + regularization) |qd|^2 / 2$, subject to $J qd
+        = k e$ for the equalities, $c' <= -k_c c$ for the constraints $c(q) <= 0$,
+                    and limits of position, speed and acceleration,
 
     with weights w, gains k and errors e of the tasks, and mu from their `damping`. It works under `jit` and `vmap`.
     Positions have the form that `reach` and `tx.integrate` use. Weights, gains, limits and dt are arguments of the
-    compiled
-    function: `replace` changes them without compiling.
+    compiled function, so `replace` does not recompile.
 
     Source: S. Caron and others, Pink (2022), for the cost and the damping; O. Kanoun, F. Lamiraux, P. Wieber, Kinematic
     control of redundant manipulators, IEEE Transactions on Robotics 27 (2011), for limits in the program.
 
     Args:
-        mechanism: a tree or a chain without closures.
-        tasks: what the motion should do, by their weights.
+        mechanism: a tree or a chain without loop constraints.
+        tasks: the weighted tasks.
         dt: the period, s.
-        equalities: tasks that are done exactly, such as feet that stay where they are; their weights do not count.
+        equalities: tasks that are satisfied exactly, such as feet that do not move; their weights are ignored.
         constraints: inequalities of positions, such as {"table": signed_distance(...) >= 0.02}, as for `tx.System`.
-        speed: limits of velocities, a number or (n,); None: those of the joints.
-        acceleration: limits, a number or (n,), infinite without a limit; None: no limits.
-        limit_gain: the share of the distance to a limit that a step may take, where acceleration has no limit.
-        constraint_gain: $k_c$, 1/s; None: half of 1/dt.
-        regularization: added to the diagonal of the Hessian, so that velocities which no task needs are zero.
+        speed: limits of velocities, a number or (n,). None: the limits of the joints.
+        acceleration: limits of accelerations, a number or (n,), infinite for no limit. None: no limits.
+        limit_gain: the largest fraction of the distance to a position limit that a step may move, for joints without an
+            acceleration limit.
+        constraint_gain: $k_c$, 1/s. None: half of 1/dt.
+        regularization: a term on the diagonal of the Hessian, which makes velocities zero that no task determines.
     Raises:
-        ModelError: closures, no tasks, something that is no task or no inequality, frames that are not known.
-        InputError: numbers out of their range.
+        ModelError: loop constraints, no tasks, an object that is not a task or not an inequality, or an unknown frame.
+        InputError: a number out of its range.
 
     Example:
         `DifferentialController(arm, [FrameTask("flange", target=T), PostureTask(q0, weight=1e-3)], dt=1e-3)({"q": q})`
@@ -142,7 +143,7 @@ class DifferentialController:
             raise ModelError(f"{owner} expects tasks, got none")
         parts = [*(self.tasks.expressions or ()), *(self.equalities.expressions or ())]
         parts += [] if self.constraints.expression is None else [self.constraints.expression]
-        #: The controls and parameters that calls take as targets.
+        #: The controls and parameters that are the targets of calls.
         self.controls, self.parameters = inputs_of(owner, self.space, parts)
         self.expressions = parts
         self.settings = _Settings(self, dt, speed, acceleration, limit_gain, constraint_gain, regularization)
@@ -159,12 +160,15 @@ class DifferentialController:
         It recompiles only if acceleration limits are added or removed.
 
         Args:
-            tasks, equalities: those of the controller with other weights, gains or damping, by `dataclasses.replace`.
-        Raises: InputError; ModelError for other tasks.
+            tasks, equalities: the controller's tasks with other weights, gains or damping, made by
+                `dataclasses.replace`.
+        Raises: InputError for numbers out of their range; ModelError for other tasks.
         """
         owner, controller = "DifferentialController", copy.copy(self)
         if unknown := sorted(set(changes) - set(self.settings.arguments)):
-            raise InputError(f"{owner}: replace takes {listed(self.settings.arguments)}, got {listed(unknown)}")
+            raise InputError(
+                f"{owner}: the arguments of replace are {listed(self.settings.arguments)}, got {listed(unknown)}"
+            )
         if tasks is not None:
             controller.tasks = self.tasks.with_numbers(owner, tasks)
         if equalities is not None:
@@ -184,10 +188,10 @@ class DifferentialController:
 
         Args:
             x: positions by state, "q" (w,) and "<joint>_position" on groups.
-            targets: by name, for tasks without one of their own; those with numbers keep them where they are left out.
-            qd: present velocities (n,), where acceleration has limits.
-            warm: the step before, whose active limits are tried first.
-        Raises: InputError for names that are not known or are missing, or other shapes.
+            targets: by name, for tasks without a fixed target. A numeric target that is omitted keeps its value.
+            qd: present velocities (n,), required for acceleration limits.
+            warm: the previous step, whose active set is tried first.
+        Raises: InputError for unknown or missing names, or arrays of the wrong shape.
         """
         targets = dict(targets or {})
         known = [leaf.name for leaf in (*self.controls, *self.parameters)]
@@ -199,14 +203,16 @@ class DifferentialController:
             raise InputError(f"DifferentialController: x expects {listed(self.space.names)}, got {listed(x)}")
         limited = self.settings.limits_acceleration
         if limited and qd is None:
-            raise InputError("DifferentialController expects qd, the present velocities, for limits of acceleration")
+            raise InputError(
+                "DifferentialController expects the present velocities qd, because it has acceleration limits"
+            )
         if limited and np.shape(qd) != (self.mechanism.dofs,):
             raise InputError(f"DifferentialController expects qd ({self.mechanism.dofs},), got {np.shape(qd)}")
         instance("DifferentialController: warm", warm, DifferentialStep | None, "the step before", InputError)
         params = {leaf.name: targets.pop(leaf.name, leaf.value) for leaf in self.parameters}
         start = np.zeros(self.solver.start_size) if warm is None else warm.start
         arguments = (dict(x), targets, params, qd if limited else None, start, self.settings.arrays)
-        # The first call compiles; later ones are so short that nothing watches them.
+        # The first call compiles; later ones are too short for a progress message.
         with contextlib.nullcontext() if self._compiled else watched("DifferentialController"):
             step: DifferentialStep = self._call(*arguments)
         self._compiled = True
@@ -220,18 +226,18 @@ class DifferentialController:
         states: Sequence[tuple[Any, ...]] | None = None,
         tolerance: float = 1e-6,
     ) -> CFiles:
-        """The step as C99 code without allocation and global state. It needs only libm.
+        """Write the step as C99 code without allocation and global state. It needs only libm.
 
-        Weights, gains, limits and dt are constants of the files. The header documents the calling convention.
-        `<name>_test.c` is a test program. It exits with 0 if velocities agree with those of Python.
+        Weights, gains, limits and dt are constants of the files. The header documents the interface. The test program
+        `<name>_test.c` exits with 0 if its velocities agree with those of Python.
 
         Args:
-            directory: where files go.
-            name: of the files; C names begin with it.
-            states: (x, targets, qd) for the test, the last two may be left out; None: positions drawn at random, for
-                controllers whose tasks have all of their targets.
-            tolerance: of the test, relative to the largest velocity.
-        Raises: InputError for invalid names, folders or states; ModelError for functions without a form in C.
+            directory: the folder of the files.
+            name: the name of the files, and the prefix of C names.
+            states: (x, targets, qd) for the test program; the last two are optional. None: random positions, for
+                controllers whose tasks have fixed targets.
+            tolerance: tolerance of the test program, relative to the largest velocity.
+        Raises: InputError for invalid names, folders or states; ModelError for functions that have no C form.
         """
         from .code import write_differential
 
@@ -240,7 +246,9 @@ class DifferentialController:
     def problem(
         self, x: Arrays, u: Arrays, params: Arrays, qd: Any, numbers: Mapping[str, Any]
     ) -> tuple[tuple[Any, ...], VelocityBounds, Any, Any]:
-        """The parts of the quadratic program in the order of `LeastSquares`, bounds, errors and residuals."""
+        """The parts of the quadratic program in the order of `LeastSquares`, followed by bounds,
+        errors and residuals.
+        """
         dt = numbers["dt"]
         e, J = self.tasks(x, u, params)
         b, A = self.equalities(x, u, params)
@@ -305,9 +313,9 @@ class _Settings:
     """The numbers of a controller, checked.
 
     Attributes:
-        arguments: as they came.
-        arrays: by name, for the compiled function.
-        limits_acceleration: whether steps read present velocities.
+        arguments: the values that the user passed.
+        arrays: the values as arrays by name, for the compiled function.
+        limits_acceleration: whether steps need present velocities.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Forces of joints: the operational space of tasks, and computed torque."""
+"""Joint forces for control: operational-space control of tasks, and computed torque."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from ..kinematic_tree import KinematicTree, Positions
 
 
 class OperationalSpace(NamedTuple):
-    """The inertia of a task in operational space, and its null space.
+    """The operational-space inertia of a task, its dynamically consistent inverse and its null space.
 
     Attributes:
         inertia: $Lambda = (J M^-1 J^T)^-1$ (m, m): a force F of the task, by $tau = J^T F$, accelerates it by
             $Lambda^-1 F$.
-        inverse: $J^+ = M^-1 J^T Lambda$ (n, m), the inverse of J with the least kinetic energy.
+        inverse: $J^+ = M^-1 J^T Lambda$ (n, m), the inverse of J with minimal kinetic energy.
         null_space: $N = 1 - J^T (J^+)^T$ (n, n): joint forces $N tau$ do not accelerate the task.
     """
 
@@ -37,7 +37,8 @@ def operational_space(mechanism: KinematicTree, J: ExprLike, q: Positions | None
 
         $tau = J^T Lambda (a - J' qd) + N tau_0 + h$,
 
-    h the bias forces, `bias_forces`. J must have full rank: `ManipulabilityTask` avoids singular configurations.
+    with the bias forces h from `bias_forces`. J must have full rank: `ManipulabilityTask` avoids singular
+    configurations.
 
     Source: O. Khatib, A unified approach for motion and force control of robot manipulators: the operational space
     formulation, IEEE Journal of Robotics and Automation 3 (1987), equations 30, 37 and 51.
@@ -77,12 +78,12 @@ def computed_torque(
     Transactions on Automatic Control 25 (1980).
 
     Args:
-        error: $e = q_d - q$ (n,), such as `PostureTask(q_d).error(arm)`; of joints on groups the logarithm.
+        error: $e = q_d - q$ (n,), such as `PostureTask(q_d).error(arm)`; for joints on groups the logarithm.
         error_rate: $e' = qd_d - qd$ (n,).
         stiffness, damping: $k_p$ in 1/s2 and $k_d$ in 1/s, numbers or (n,).
         acceleration: $qdd_d$ (n,); zero by default.
     Raises:
-        ShapeError: another shape.
+        ShapeError: an argument of the wrong shape.
         ModelError: a mechanism with loops; a stiffness or damping that is negative or not finite.
 
     Example:
@@ -93,7 +94,7 @@ def computed_torque(
     for name, value in (("stiffness", stiffness), ("damping", damping)):
         numbers = np.zeros(()) if isinstance(value, Expr) else reals(f"{owner}: {name}", value, ModelError)
         if numbers.shape not in ((), (n,)) or not (np.isfinite(numbers) & (numbers >= 0.0)).all():
-            raise ModelError(f"{owner} expects {name} of 0 or more and finite, () or ({n},), got {short(value)}")
+            raise ModelError(f"{owner} expects {name} to be finite and 0 or more, () or ({n},), got {short(value)}")
     wanted = to_expr(damping) * rate + to_expr(stiffness) * e
     if acceleration is not None:
         wanted = wanted + of_shape(owner, "acceleration", acceleration, (n,))

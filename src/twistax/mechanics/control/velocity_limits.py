@@ -10,7 +10,7 @@ import numpy as np
 
 from ..tasks.configuration_space import Arrays, ConfigurationSpace
 
-#: Of bounds that exclude each other by rounding, relative to the speed that an acceleration makes in a period.
+#: The tolerance of bounds that contradict each other by round-off, relative to acceleration limit times period.
 _ROUNDING = 1e-6
 
 
@@ -18,8 +18,9 @@ class VelocityBounds(NamedTuple):
     """Bounds (n,) of velocities.
 
     Attributes:
-        lower, upper: where they exclude each other, the nearest velocity that the acceleration allows.
-        overrun: 1 where a joint cannot keep its limits of position and speed under its limit of acceleration, else 0.
+        lower, upper: the bounds; if limits contradict each other, both are the nearest velocity that the acceleration
+            limit allows.
+        overrun: 1 if a joint cannot satisfy its position and speed limits under its acceleration limit, else 0.
     """
 
     lower: jax.Array
@@ -30,16 +31,16 @@ class VelocityBounds(NamedTuple):
 def velocity_bounds(
     space: ConfigurationSpace, x: Arrays, qd: jax.Array | None, dt: Any, speed: Any, acceleration: Any, share: Any
 ) -> VelocityBounds:
-    """The bounds for a step of dt.
+    """The bounds of velocities for a step of dt.
 
-    Without a limit of acceleration, a joint moves at most by a share of the distance to its limit. With one, a, it can
-    still stop at its limit by steps of a dt, in whole periods. A joint beyond its limit goes
-    back, at most at its speed.
+    Without an acceleration limit, a joint moves at most by a fraction of the distance to its position limit. With an
+    acceleration limit a, it can still stop at its position limit in steps of a dt, in whole periods. A joint beyond its
+    limit moves back, at most at its speed limit.
 
     Args:
-        qd: present velocities (n,); None without a limit of acceleration.
-        speed: (n,), infinite without a limit.
-        acceleration: (n,), likewise.
+        qd: present velocities (n,); None without acceleration limits.
+        speed: (n,), infinite for no limit.
+        acceleration: (n,), infinite for no limit.
     """
     dtype = speed.dtype
     above, below = space.margins(x, dtype)
@@ -50,7 +51,7 @@ def velocity_bounds(
     change = jnp.where(limited, acceleration, 1.0) * dt
     bounds = []
     for margin in (above, below):
-        # In k full steps and a part of one: u = v / (a dt) stops within (k + 1) u - k (k + 1) / 2 of a dt2.
+        # With k full steps and a fraction of one, u = v / (a dt) stops within (k + 1) u - k (k + 1) / 2 of a dt2.
         steps = jnp.maximum(margin, 0.0) / (change * dt)
         k = jnp.floor(0.5 * (jnp.sqrt(1.0 + 8.0 * steps) - 1.0))
         stops = jnp.where(limited, change * (steps / (k + 1.0) + 0.5 * k), share * margin / dt)
@@ -64,5 +65,5 @@ def velocity_bounds(
 
 
 def as_freedoms(value: Any, n: int, default: float) -> np.ndarray:
-    """A number, or one for each freedom, as (n,); the default for None."""
+    """A number, or one for each degree of freedom, as an array (n,); None gives the default."""
     return np.broadcast_to(np.asarray(default if value is None else value, float), (n,)).copy()

@@ -1,1 +1,1 @@
-"""Distances between solids."""
+"""Signed distances between solids."""

@@ -1,7 +1,7 @@
-"""Distances of a solid cylinder to points and segments, and a prism around it for other solids.
+"""Distances of a solid cylinder to points and segments, and a prism that encloses it for other solids.
 
-The signed distance of a point to a convex solid is a convex function, so along a segment its least value is where its
-slope changes sign: bisection finds the place, and a step of Newton's method gives it derivatives.
+The signed distance of a point to a convex solid is a convex function. Along a segment, its minimum is where the slope
+changes sign: bisection finds the minimum, and one Newton step provides its derivatives.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from ...expr.functions.function import Function
 from ...view import Cylinder
 from .polytope import ConvexPolytope, root
 
-#: Halvings of a segment; a step of Newton's method that is longer, relative to the segment, is at a kink.
+#: The number of bisections of a segment; a Newton step that is longer, relative to the segment, indicates a kink.
 _HALVINGS, _KINK = 55, 1e-6
-#: Sides of the prism around a cylinder.
+#: The number of sides of the prism around a cylinder.
 _SIDES = 24
 
 
 def to_segment(cylinder: Cylinder, half: float, T: Expr) -> Expr:
     """The signed distance () to a segment along z with this half length, at the pose T in the frame of the cylinder.
 
-    Below zero it is the depth of the deepest point of the segment.
+    A negative value is the depth of the deepest point of the segment.
     """
     radius, height = float(cylinder.radius), 0.5 * float(cylinder.length)
 
@@ -40,12 +40,12 @@ def to_segment(cylinder: Cylinder, half: float, T: Expr) -> Expr:
 
 
 def over_plane(cylinder: Cylinder, n: Expr) -> Expr:
-    """How far a cylinder reaches along the direction -n from its centre, in its own axes."""
+    """The extent of a cylinder along the direction -n from its centre, in its own axes."""
     return 0.5 * float(cylinder.length) * Abs(n[2]) + float(cylinder.radius) * Norm(n[:2])
 
 
 def prism_around(cylinder: Cylinder) -> ConvexPolytope:
-    """A prism of 24 sides that contains the cylinder, and is at most 0.9 % of its radius larger."""
+    """A prism with 24 sides that contains the cylinder, and extends beyond it by at most 0.9 % of its radius."""
     angles = 2.0 * np.pi * np.arange(_SIDES) / _SIDES
     ring = np.stack([np.cos(angles), np.sin(angles)], axis=1) * (float(cylinder.radius) / np.cos(np.pi / _SIDES))
     ends = [np.column_stack([ring, np.full(_SIDES, side * 0.5 * float(cylinder.length))]) for side in (-1.0, 1.0)]
@@ -53,7 +53,7 @@ def prism_around(cylinder: Cylinder) -> ConvexPolytope:
 
 
 def _least(radius: float, height: float, middle: jax.Array, axis: jax.Array) -> jax.Array:
-    """The least signed distance of points middle + s axis, |s| <= 1."""
+    """The smallest signed distance of the points middle + s axis, |s| <= 1."""
 
     def at(s: jax.Array, middle: jax.Array, axis: jax.Array) -> jax.Array:
         return _to_point(radius, height, middle + s * axis)

@@ -24,10 +24,10 @@ class DistanceGrid:
 
     Attributes:
         axes: three arrays of coordinates, increasing, m, in the frame of the grid.
-        values: (nx, ny, nz), m: negative inside the solid.
-        kind: of the interpolation.
-        at: T (4, 4) of the grid in the frame of its body; the identity by default.
-    Raises: ModelError for values of another shape, and numbers that are not a pose.
+        values: signed distances (nx, ny, nz), m; negative inside the solid.
+        kind: the interpolation.
+        at: pose T (4, 4) of the grid in the frame of its body; the identity by default.
+    Raises: ModelError for values of the wrong shape, and for numbers that are not a pose.
     """
 
     axes: Any
@@ -41,6 +41,6 @@ class DistanceGrid:
         self.value(np.zeros(3))
 
     def value(self, point: Any) -> Expr:
-        """The distance () of a point (3,) in the frame of the body, m."""
+        """The signed distance () of a point (3,) in the frame of the body, m."""
         p = Act(np.linalg.inv(self.at), point)
         return Interp(p[0], p[1], p[2], axes=list(self.axes), values=self.values, kind=self.kind)

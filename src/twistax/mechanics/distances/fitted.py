@@ -1,4 +1,4 @@
-"""Spheres and capsules around a mesh, for distances that cost less than those of its hull."""
+"""Spheres and capsules that enclose a mesh, whose distances are cheaper than those of its convex hull."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from ...errors import ModelError
 from ...view import Capsule, Mesh, Sphere
 from .polytope import ConvexPolytope
 
-#: Steps towards the farthest point for the centre of a ball. The radius is then exact for the centre, and at
-#: most a twentieth larger than the least one: M. Badoiu, K. Clarkson, Smaller core-sets for balls, SODA (2003).
+#: Steps towards the farthest point, for the centre of a ball. The radius is exact for that centre, and at most 5 %
+#: larger than the smallest one: M. Badoiu, K. Clarkson, Smaller core-sets for balls, SODA (2003).
 _STEPS = 400
 
 
 def fitted_capsule(mesh: Any) -> Capsule:
-    r"""A capsule that contains a mesh, of small volume $\pi r^2 (l + 4 r / 3)$ for the radius r and the length l.
+    r"""A capsule of small volume $\pi r^2 (l + 4 r / 3)$ with radius r and length l that contains a mesh.
 
-    The axis starts along a principal axis of the corners, and a simplex search turns it to the least volume. For each
-    axis the radius is that of the smallest circle around the projections, and the length is the shortest that contains
-    the corners.
+    The initial axis is a principal axis of the corners; a simplex search over its direction minimises the volume. For
+    each direction, the radius is that of the smallest circle around the projections, and the length is the shortest
+    that contains the corners.
 
     Args:
         mesh: a `tx.view.Mesh`, a `ConvexPolytope`, or points (k, 3), m.
@@ -31,7 +31,7 @@ def fitted_capsule(mesh: Any) -> Capsule:
     Example:
         `signed_distance(fitted_capsule(Mesh("forearm.stl")), HalfSpace(), arm.pose("forearm"))`
     """
-    from scipy.optimize import minimize  # not at import: it is large
+    from scipy.optimize import minimize  # imported here because the package is large
 
     points = _corners(mesh)
 
@@ -50,15 +50,15 @@ def fitted_capsule(mesh: Any) -> Capsule:
 
 
 def fitted_spheres(mesh: Any, count: int) -> list[Sphere]:
-    """Spheres, at most `count` of them, that together contain the convex hull of a mesh.
+    """A list of at most `count` spheres whose union contains the convex hull of a mesh.
 
-    Each point p of the hull has $|p - c_i| <= r_i$ for one of the centres and radii, m. The largest part of the hull is
-    repeatedly cut in two across its longest axis; each part has a small ball around it.
+    Each point p of the hull satisfies $|p - c_i| <= r_i$ for one of the centres and radii, m. The largest part of the
+    hull is repeatedly divided in two across its longest axis, and each part is enclosed in a small ball.
 
     Args:
         mesh: as for `fitted_capsule`.
-        count: of spheres, 1 or more.
-    Raises: InputError as `fitted_capsule`; ModelError for another count.
+        count: the largest number of spheres, 1 or more.
+    Raises: InputError as for `fitted_capsule`; ModelError for an invalid count.
 
     Example:
         `clearances(arm, {"forearm": fitted_spheres(Mesh("forearm.stl"), 6)})`
@@ -75,7 +75,7 @@ def fitted_spheres(mesh: Any, count: int) -> list[Sphere]:
 
 
 def _corners(mesh: Any) -> NDArray[np.float64]:
-    """The corners of the hull, in the frame of the body."""
+    """The corners of the convex hull, in the frame of the body."""
     hull = (
         mesh if isinstance(mesh, ConvexPolytope) else ConvexPolytope(mesh.corners() if isinstance(mesh, Mesh) else mesh)
     )
@@ -83,25 +83,25 @@ def _corners(mesh: Any) -> NDArray[np.float64]:
 
 
 def _halves(points: NDArray[np.float64], heights: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """Points whose hulls together are that of the points, below and above height zero."""
+    """Two sets of points, whose hulls are the parts of the points' hull below and above height zero."""
     from scipy.spatial import ConvexHull
 
     below, above = points[heights <= 0.0], points[heights > 0.0]
     low, high = heights[heights <= 0.0], heights[heights > 0.0]
     share = (-low[:, None] / (high[None] - low[:, None]))[..., None]
     cut = (below[:, None] + share * (above[None] - below[:, None])).reshape(-1, 3)
-    # Only the corners of both hulls: all pairs would be squared with each cut.
+    # Only the corners of both hulls: the number of all pairs would be squared with each division.
     both = [np.concatenate([half, cut]) for half in (below, above)]
     return [half[ConvexHull(half).vertices] for half in both]
 
 
 def _axes(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The principal axes (3, 3) of points, in rows, the longest first."""
+    """The principal axes (3, 3) of points, as rows, the longest first."""
     return np.asarray(np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2])
 
 
 def _ball(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """The centre and the radius of a ball around points of any dimension, nearly the least one."""
+    """The centre and the radius of a nearly minimal ball around points of any dimension."""
     centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
     best, least = centre, np.inf
     for k in range(1, _STEPS):
@@ -115,7 +115,7 @@ def _ball(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
 def _around(
     points: NDArray[np.float64], direction: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], float, float, float]:
-    """A frame (3, 4) whose z is the axis of a capsule around points, its radius, and both ends along z."""
+    """The frame (3, 4) of a capsule around points, whose z is the capsule's axis, its radius, and both ends along z."""
     z = direction / np.linalg.norm(direction)
     x = np.cross(z, np.eye(3)[int(np.abs(z).argmin())])
     R = np.column_stack([x / np.linalg.norm(x), np.cross(z, x / np.linalg.norm(x)), z])
@@ -123,7 +123,7 @@ def _around(
     middle, radius = _ball(local[:, :2])
     reach = np.sqrt(np.maximum(radius**2 - np.sum((local[:, :2] - middle) ** 2, axis=1), 0.0))
     low, high = float((local[:, 2] + reach).min()), float((local[:, 2] - reach).max())
-    if high < low:  # one ball is enough
+    if high < low:  # a single ball suffices
         low = high = 0.5 * (low + high)
         radius = float(np.linalg.norm(local - [*middle, low], axis=1).max())
     return np.column_stack([R, R @ [*middle, 0.0]]), radius, low, high

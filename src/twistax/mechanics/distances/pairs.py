@@ -1,4 +1,4 @@
-"""The distances of all pairs of solids of a mechanism that may touch, and their soft minimum."""
+"""The distances of all pairs of solids of a mechanism that may collide, and their soft minimum."""
 
 from __future__ import annotations
 
@@ -34,22 +34,24 @@ def clearances(
     srdf: str | Path | None = None,
     far: float | None = None,
 ) -> dict[str, Expr]:
-    """The signed distances () of all pairs of frames that may touch, m, by names such as "hand-forearm", "hand-table".
+    """The signed distances (), m, of all pairs of frames that may collide, by names such as "hand-forearm",
+    "hand-table".
 
-    Frames connected by one joint, frames of one rigid body, and the pairs in `ignored` and in the SRDF file are
-    excluded. If frames have several solids, the distance is the smallest of all their pairs.
+    Excluded are frames connected by one joint, frames of one rigid body, and the pairs in `ignored` and in the SRDF
+    file. If a frame has several solids, the distance is the smallest over them.
 
     Args:
-        solids: by frame; None: the shapes of all links and of the base, meshes by convex hulls of 24 corners.
-        obstacles: by name, in the axes of the base, each against all frames that move.
+        solids: solids by frame. None: the shapes of all links and of the base, with meshes replaced by convex hulls of
+            24 corners.
+        obstacles: solids by name, in the axes of the base; each is paired with all frames that move.
         ignored: pairs of names of frames or obstacles.
         srdf: a file with `<disable_collisions link1=... link2=.../>`, as MoveIt writes it.
-        far: None, or the broad phase: where the spheres around two solids are farther apart than this, m, their
-            distance stands in for that of the solids, which is not computed. It is a lower bound, so that constraints
-            hold; the value jumps there.
+        far: None, or the distance, m, of the broad phase: if the spheres around two solids are farther apart than this,
+            their distance is returned in place of that of the solids, which is not computed. It is a lower bound, so
+            constraints remain satisfied; the value is discontinuous at the switch.
     Raises:
-        ModelError: a frame that is not known, a name that is twice, a solid without a distance, a file without such
-            elements, or no pair is left.
+        ModelError: an unknown frame; a name that is both a frame and an obstacle; a solid without a distance function;
+            a file without such elements; no remaining pair.
 
     Example:
         `clearances(arm, {"hand": Sphere(0.1)}, {"table": box})["hand-table"] >= 0.02`
@@ -58,7 +60,9 @@ def clearances(
     by_frame = _of_links(mechanism) if solids is None else {name: _listed(value) for name, value in solids.items()}
     by_obstacle = {name: _listed(value) for name, value in (obstacles or {}).items()}
     if twice := [name for name in by_obstacle if name in by_frame]:
-        raise ModelError(f"clearances: {twice[0]!r} is a frame and an obstacle.\n  fix: another name")
+        raise ModelError(
+            f"clearances: {twice[0]!r} is the name of a frame and of an obstacle.\n  fix: use another name"
+        )
     places = {name: mechanism.frame(name).segment for name in by_frame} | dict.fromkeys(by_obstacle)
     skipped = {frozenset(pair) for pair in (*ignored, *(() if srdf is None else disabled_pairs(srdf)))}
     distances = dict[str, Expr]()
@@ -70,20 +74,20 @@ def clearances(
         pairs = [_distance(one, two, T_a, T_b, far) for one, two in shapes]
         distances[f"{a}-{b}"] = functools.reduce(Min, pairs)
     if not distances:
-        raise ModelError("clearances expects frames or obstacles that may touch each other, no pair is left")
+        raise ModelError("clearances expects frames or obstacles that may collide, but all pairs are excluded")
     return distances
 
 
 def soft_minimum(distances: Iterable[Expr] | Mapping[str, Expr], width: float) -> Expr:
     """A smooth approximation () of the minimum of values: $-w log sum exp(-d_i / w)$.
 
-    For n values it is at most the minimum and at least the minimum minus $w log n$. One constraint on it keeps all
-    pairs apart, with an additional margin of up to $w log n$.
+    For n values, it is between the minimum minus $w log n$ and the minimum. A single constraint on it keeps all pairs
+    apart, with an additional margin of up to $w log n$.
 
     Args:
         distances: expressions (), such as those of `clearances`.
         width: w, m.
-    Raises: InputError for a width that is not positive; ModelError without distances.
+    Raises: InputError for a width that is not positive; ModelError for an empty list of distances.
 
     Example:
         `soft_minimum(clearances(arm), 0.005) >= 0.02`
@@ -96,7 +100,7 @@ def soft_minimum(distances: Iterable[Expr] | Mapping[str, Expr], width: float) -
 
 
 def disabled_pairs(srdf: str | Path) -> list[tuple[str, str]]:
-    """The pairs of links whose collisions an SRDF file disables. Raises ModelError for a file that has none."""
+    """The pairs of links whose collisions an SRDF file disables. Raises ModelError for a file without such pairs."""
     root = read_xml(Path(srdf), "clearances")
     pairs = [(element.text("link1"), element.text("link2")) for element in root.all("disable_collisions")]
     if not pairs:
@@ -122,7 +126,9 @@ def _of_links(mechanism: KinematicTree) -> dict[str, list[Solid]]:
 
 
 def _may_touch(mechanism: KinematicTree, a: int | None, b: int | None) -> bool:
-    """Whether two segments are neither one body nor neighbours; -1 is the base, None an obstacle in its axes."""
+    """Whether two segments may collide: they are neither one body nor connected by a joint. -1 is the base, None an
+    obstacle.
+    """
     if a is None or b is None:
         return (a is not None and a >= 0) or (b is not None and b >= 0)
     before = {-1: None} | {i: segment.before for i, segment in enumerate(mechanism.segments)}
@@ -130,7 +136,7 @@ def _may_touch(mechanism: KinematicTree, a: int | None, b: int | None) -> bool:
 
 
 def _distance(a: Solid, b: Solid, T_a: Expr | None, T_b: Expr | None, far: float | None) -> Expr:
-    """The distance of two solids, or that of the spheres around them where these are far apart."""
+    """The distance of two solids, or that of the spheres around them if these are far apart."""
     exact = signed_distance(a, b, T_a, T_b)
     if far is None or isinstance(a, HalfSpace) or isinstance(b, HalfSpace):
         return exact

@@ -1,13 +1,14 @@
-"""A distance of two solids that has no kinks, and how far it is below the distance at most.
+"""A smooth distance of two solids, with a bound of its difference from the exact distance.
 
-The distance of two convex solids is the greatest gap between their projections on a direction n, of unit length. With
-the corners $u_i$ of one and $v_j$ of the other, and sums of exponentials in place of the last corner of one and the
-first corner of the other, the gap is
+The distance of two convex solids is the maximum, over unit vectors n, of the gap between their projections on n. Let
+$u_i$ be the corners of one solid and $v_j$ those of the other. With soft maxima and minima (logarithms of sums of
+exponentials) over the corners, the gap is
 
     f(n) = -w log sum_j exp(-n . v_j / w) - w log sum_i exp(n . u_i / w),
 
-a concave function of n that is at most w log k below the gap for k products of corners. Newton's method on the sphere
-finds the greatest f from a normal of a face, and one more step gives n its derivatives.
+a concave function of n that is at most w log k below the exact gap, where k is the product of the numbers of corners.
+Newton's method on the sphere maximises f, starting from a normal of a face; one more step provides the derivatives of
+n.
 
 Source: Nesterov, Smooth minimization of non-smooth functions, Mathematical Programming 103 (2005), section 4.1.
 """
@@ -31,30 +32,31 @@ from ...view import Box, Capsule, Cylinder, Sphere
 from .polytope import ConvexPolytope, Core, root
 from .signed_distance import Solid, placed_pair
 
-#: Steps of Newton's method, halvings of the width before them, and of each step.
+#: The number of Newton steps; of halvings of the width before them; and of halvings of each step.
 _STEPS, _WIDER, _HALVINGS = 20, 5, 6
-#: The least curvature, relative to the gradient.
+#: The smallest curvature, relative to the gradient.
 _LEAST = 1e-6
 
 
 def soft_distance(a: Solid, b: Solid, width: float, T_a: ExprLike | None = None, T_b: ExprLike | None = None) -> Expr:
-    """The signed distance () of two solids without kinks, m, for constraints that a smooth solver takes.
+    """A smooth signed distance () of two solids, m, for constraints in optimisation.
 
-    For k products of corners it is at most the `signed_distance` and at least that less $w log k$: of two boxes
-    $k = 64$, and $w log k = 4.2 w$. It has derivatives of first and second order everywhere outside, as the nearest
-    corners, edges and faces change. Inside it is below the distance by more where the direction of least depth is not
-    that of a face, and it has a kink where that direction changes.
+    With k the product of the numbers of corners, it is between the `signed_distance` minus $w log k$ and the
+    `signed_distance`; for two boxes $k = 64$ and $w log k = 4.2 w$. Outside, it has first and second derivatives
+    everywhere, also where the nearest corners, edges and faces change. If the solids overlap, it is lower by more if
+    the direction of least depth is not that of a face, and it has a kink where that direction changes.
 
     Source: Nesterov, Smooth minimization of non-smooth functions, Mathematical Programming 103 (2005), section 4.1.
 
     Args:
-        a, b: `tx.view.Sphere`, `Capsule` or `Box`, or `ConvexPolytope`. A sphere is one corner, a capsule two.
-        width: w, m. Derivatives of second order grow with 1 / w.
+        a, b: `tx.view.Sphere`, `Capsule` or `Box`, or `ConvexPolytope`. A sphere counts as one corner, a capsule as
+            two.
+        width: w, m. Second derivatives grow with 1 / w.
         T_a, T_b: as for `signed_distance`.
     Raises:
         InputError: a width that is not positive.
-        ModelError: another solid; numbers that are not a pose.
-        ShapeError: a pose of another shape.
+        ModelError: a solid of another type; numbers that are not a pose.
+        ShapeError: a pose of the wrong shape.
 
     Example:
         `soft_distance(box, shelf, 0.002, arm.pose("hand")) >= 0.02`
@@ -72,13 +74,14 @@ def soft_distance(a: Solid, b: Solid, width: float, T_a: ExprLike | None = None,
 
 
 def _greatest_gap(a: Core, b: Core, width: float, T: Any) -> jax.Array:
-    """The value for the pose T of the core b in that of a."""
+    """The soft distance for the pose T of the core b in that of a."""
     T = jnp.asarray(T)
     U = jnp.asarray(a.corners, T.dtype)
     V = jnp.asarray(b.corners, T.dtype) @ T[:3, :3].T + T[None, :3, 3]
     fixed = jax.lax.stop_gradient(V)
     n = _first(a, b, U, fixed, width, jax.lax.stop_gradient(T[:3, :3]))
-    # Outside wider sums, which have fewer edges, lead to the greatest gap; inside they may lead to another direction.
+    # If the solids are separate, larger widths, which smooth the edges, lead to the largest gap; if they overlap,
+    # larger widths may lead to another direction.
     climbs = [_climb(U, fixed, width, n, wider) for wider in (_WIDER, 0)]
     gaps = [jax.lax.stop_gradient(_gap(U, fixed, width, climbed)) for climbed in climbs]
     n = jnp.where(gaps[0] > gaps[1], climbs[0], climbs[1])
@@ -91,7 +94,7 @@ def _greatest_gap(a: Core, b: Core, width: float, T: Any) -> jax.Array:
 
 
 def _first(a: Core, b: Core, U: jax.Array, V: jax.Array, width: float, R: jax.Array) -> jax.Array:
-    """The direction with the greatest gap among that of the centres and the normals of faces."""
+    """The direction with the largest gap, among that between the centres and the normals of faces."""
     between = jnp.mean(V, axis=0) - jnp.mean(U, axis=0)
     size = root(between @ between)
     middle = jnp.where(size > 0.0, between / jnp.where(size > 0.0, size, 1.0), jnp.asarray([0.0, 0.0, 1.0], R.dtype))
@@ -110,7 +113,9 @@ def _gradient(U: jax.Array, V: jax.Array, width: Any, n: jax.Array) -> jax.Array
 
 
 def _slopes(U: jax.Array, V: jax.Array, width: Any, n: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Two directions (3, 2) across n, the gradient (3,) of the gap, and its curvature (2, 2) on the sphere."""
+    """Two directions (3, 2) perpendicular to n, the gradient (3,) of the gap, and its curvature
+    (2, 2) on the sphere.
+    """
     axis = jnp.eye(3, dtype=n.dtype)[jnp.argmin(jnp.abs(n))]
     first = jnp.cross(n, axis)
     first = first / jnp.sqrt(first @ first)
@@ -125,7 +130,7 @@ def _slopes(U: jax.Array, V: jax.Array, width: Any, n: jax.Array) -> tuple[jax.A
 
 
 def _climb(U: jax.Array, V: jax.Array, width: float, n: jax.Array, wider: int) -> jax.Array:
-    """A direction whose gap is a maximum: steps with a width that is halved so often before it is the stated one."""
+    """A direction that maximises the gap: steps with decreasing widths, the last of which is the stated one."""
 
     def step(k: Any, n: jax.Array) -> jax.Array:
         return _climbed(U, V, width * jnp.maximum(2.0 ** (wider - jnp.asarray(k, n.dtype)), 1.0), n)
@@ -134,9 +139,9 @@ def _climb(U: jax.Array, V: jax.Array, width: float, n: jax.Array, wider: int) -
 
 
 def _climbed(U: jax.Array, V: jax.Array, width: Any, n: jax.Array) -> jax.Array:
-    """A direction with a gap that is no smaller: a step of Newton's method, or the best of its halves."""
+    """A direction with a gap that is not smaller: by a Newton step, or by the best fraction of it."""
     across, slope, curvature = _slopes(U, V, width, n)
-    # Deep inside the curvature may be positive: it is made that of a concave function.
+    # At large depths the curvature may be positive; it is then replaced by that of a concave function.
     floor = jnp.maximum(-(slope @ n), 0.0) + _LEAST * (width + jnp.sqrt(slope @ slope))
     step = across @ -_solved(curvature - floor * jnp.eye(2, dtype=n.dtype), across.T @ slope)
     sizes = jnp.asarray([0.0, *(0.5**k for k in range(_HALVINGS + 1))], n.dtype)

@@ -1,4 +1,4 @@
-"""Solids as a core and a radius: all points within the radius of a point, a segment or a box."""
+"""Solids as a core with a radius: all points within the radius of a point, a segment or a box."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ class HalfSpace:
     """All points below a plane, such as the ground: $z < 0$, in m, in the frame of the plane.
 
     Attributes:
-        at: T (4, 4) of the plane in the frame that it belongs to; the identity by default.
-    Raises: ModelError, ShapeError if it is not a pose of numbers.
+        at: pose T (4, 4) of the plane in the frame of its body; the identity by default.
+    Raises: ModelError, ShapeError if `at` is not a pose of numbers.
     """
 
     at: Any = dataclasses.field(default_factory=lambda: np.eye(4))
@@ -32,11 +32,12 @@ class HalfSpace:
 
 @dataclasses.dataclass(frozen=True)
 class Rounded:
-    """A core with half lengths along x, y and z of its frame, zero for a point and across a segment, and a radius.
+    """A core with a radius. Its half lengths are along x, y and z of its frame; they are zero for a point, and across a
+    segment.
 
     Attributes:
-        at: T (4, 4) of the core in the frame of the body.
-        half: (3,), m.
+        at: pose T (4, 4) of the core in the frame of the body.
+        half: half lengths (3,), m.
         radius: m.
     """
 
@@ -62,7 +63,7 @@ class Rounded:
 
 
 def rounded(owner: str, shape: Any) -> Rounded:
-    """A shape as a core and a radius. Raises ModelError for other shapes."""
+    """A shape as a core with a radius. Raises ModelError for other shapes."""
     if isinstance(shape, Sphere):
         return Rounded(shape.at, np.zeros(3), float(shape.radius))
     if isinstance(shape, Capsule):

@@ -1,1 +1,1 @@
-"""Edits of mechanisms: each function gives the arguments of a new one."""
+"""Edits of mechanisms: each function returns the arguments of an edited mechanism."""

@@ -1,7 +1,7 @@
-"""Edits of the links of a mechanism: joints locked, mechanisms attached, links removed, names and bodies exchanged.
+"""Edits of the links of a mechanism: locked joints, attached mechanisms, removed links, new names and bodies.
 
-Each function returns what changes among the arguments of `Mechanism`; closures, motors and followers go along, and what
-cannot go along is an error that names it.
+Each function returns the changed arguments of `Mechanism`. Loop constraints, motors and mimic joints are kept; if one
+of them cannot be kept, an error names it.
 """
 
 from __future__ import annotations
@@ -30,16 +30,17 @@ Changes = dict[str, Any]
 
 
 def parent_of(mechanism: KinematicTree, link: Link) -> str | None:
-    """The name of the link before; None for the base, by whatever name the link calls it."""
+    """The name of the parent link; None for the base."""
     return None if link.parent == mechanism.base else link.parent
 
 
 def carrier_of(mechanism: KinematicTree, frame: str) -> str:
-    """The name of the link that a frame is, or of the base: a frame may go by the name of a joint."""
+    """The name of the link that has a frame, or of the base. A frame may be named by its joint."""
     return frame if frame == mechanism.base else mechanism.link(frame).name
 
 
-# ---- joints that are locked ------------------------------------------------------------------------------------------
+# ---- locked joints
+# -----------------------------------------------------------------------------------------------------
 
 
 def locked(mechanism: KinematicTree, positions: Mapping[str, ExprLike]) -> Changes:
@@ -57,13 +58,15 @@ def locked(mechanism: KinematicTree, positions: Mapping[str, ExprLike]) -> Chang
 
 
 def _position(mechanism: KinematicTree, owner: str, name: str, value: ExprLike) -> Expr:
-    """The position of a joint, (k,) or an element of its group. Raises ModelError, ShapeError."""
+    """The position of a joint, (k,) or an element of its group. Raises ModelError or ShapeError for an invalid
+    position.
+    """
     segment = mechanism.segment_of(name)
     joint, mimic = segment.link.joint, segment.link.mimic
     if not joint.dofs:
         raise ModelError(f"{owner}: joint {name!r} does not move")
     if mimic is not None:
-        raise ModelError(f"{owner}: joint {name!r} follows {mimic.joint!r}.\n  fix: lock {mimic.joint!r}")
+        raise ModelError(f"{owner}: joint {name!r} mimics {mimic.joint!r}.\n  fix: lock {mimic.joint!r}")
     what, shape = f"the position of {name!r}", (joint.dofs,) if joint.group is None else joint.group.shape
     if not isinstance(value, Expr):
         value = reals(f"{owner}: {what}", value, ModelError).astype(np.float64)
@@ -94,28 +97,29 @@ def _fixed_at(link: Link, position: Expr | None) -> Link:
 
 
 def _without_joints(mechanism: KinematicTree, names: Collection[str]) -> Changes:
-    """The motors that are left."""
+    """The remaining motors."""
     driven = mechanism.arguments["driven"]
     return {"driven": driven if driven is None else tuple(name for name in driven if name not in names)}
 
 
-# ---- links that go, and mechanisms that come -------------------------------------------------------------------------
+# ---- removed links and attached mechanisms
+# -----------------------------------------------------------------------------
 
 
 def without(mechanism: KinematicTree, names: Iterable[str]) -> Changes:
     """Implements `Mechanism.without`."""
     owner, removed = "Mechanism.without", {mechanism.link(name).name for name in names}
-    for link in mechanism.links:  # each after its parent
+    for link in mechanism.links:  # each follows its parent
         if link.parent in removed:
             removed.add(link.name)
     left = [link for link in mechanism.links if link.name not in removed]
     joints = {link.joint.name for link in mechanism.links if link.name in removed}
     if not left:
-        raise ModelError(f"{owner}: no link would be left")
+        raise ModelError(f"{owner}: the mechanism would have no links")
     for link in left:
         if link.mimic is not None and link.mimic.joint in joints:
             raise ModelError(
-                f"{owner}: joint {link.joint.name!r} follows {link.mimic.joint!r}, which would be gone.\n"
+                f"{owner}: joint {link.joint.name!r} mimics {link.mimic.joint!r}, which would be removed.\n"
                 f"  fix: remove {link.name!r} as well, or lock {link.mimic.joint!r} first"
             )
     loops = []
@@ -145,8 +149,9 @@ def attached(mechanism: KinematicTree, other: KinematicTree, frame: str | None, 
     links = [dataclasses.replace(link, parent=parent_of(other, link) or other.base) for link in other.links]
     if mechanism.loops and other.loops and mechanism.loop_metric != other.loop_metric:
         raise ModelError(
-            f"{owner}: the two have different loop metrics, {mechanism.loop_metric} and {other.loop_metric}.\n"
-            "  fix: replace(loop_metric=...) of one of them, before"
+            f"{owner}: the two mechanisms have different loop metrics, {mechanism.loop_metric} and "
+            f"{other.loop_metric}.\n"
+            "  fix: first replace(loop_metric=...) of one of them"
         )
     ours, theirs = mechanism.arguments, other.arguments
     explicit = ours["driven"] is not None or theirs["driven"] is not None
@@ -161,7 +166,7 @@ def attached(mechanism: KinematicTree, other: KinematicTree, frame: str | None, 
 
 
 def _need_other_names(owner: str, mechanism: KinematicTree, other: KinematicTree) -> None:
-    """Raise ModelError for names that both have."""
+    """Raise ModelError for names that both mechanisms have."""
     kinds: dict[str, Callable[[KinematicTree], set[str]]] = {
         "frames": lambda tree: set(tree.frames),
         "joints": lambda tree: {link.joint.name for link in tree.links},
@@ -171,7 +176,8 @@ def _need_other_names(owner: str, mechanism: KinematicTree, other: KinematicTree
         both = names(mechanism) & names(other)
         if both:
             raise ModelError(
-                f"{owner}: both have {kind} named {listed(sorted(both))}.\n  fix: attach(other.renamed('left_'), ...)"
+                f"{owner}: both mechanisms have {kind} named {listed(sorted(both))}.\n"
+                "  fix: attach(other.renamed('left_'), ...)"
             )
 
 

@@ -1,7 +1,7 @@
-"""A tree with another link as root: the joints between the new and the old root are reversed.
+"""A tree with another root link: the joints between the new and the old root are reversed.
 
-A joint with the mount M has its child at M J(q) in its parent. So the parent is at $J(q)^-1 M^-1$ in the child: the
-reversed joint comes first, and the old mount after it, inverted.
+A joint with mount M has its child at M J(q) in its parent, so the parent is at $J(q)^-1 M^-1$ in the child: first the
+reversed joint, then the inverse of the old mount.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def rerooted(mechanism: KinematicTree, frame: str) -> Changes:
     top, changes = path[-1], Changes()
     alone = sum(parent_of(mechanism, link) is None for link in mechanism.links) == 1
     if not (isinstance(top.joint, Free) or (isinstance(top.joint, Fixed) and alone)):
-        # The base itself is the root: it becomes a link, and the world is the new base.
+        # The base itself is the old root: it becomes a link, and the new base is called "world".
         old = mechanism.base
         top = Link(Fixed(free_name("root", joints)), None, _UNIT, name=old, shapes=mechanism.shapes)
         path.append(top)
@@ -60,7 +60,7 @@ def rerooted(mechanism: KinematicTree, frame: str) -> Changes:
         if link.name not in on_path
     ]
     loops = []
-    for loop in mechanism.loops:  # the name of a joint stands for another frame from now on
+    for loop in mechanism.loops:  # the name of the joint now names another frame
         loop = copy.copy(loop)
         loop.frame, loop.other = carrier_of(mechanism, loop.frame), carrier_of(mechanism, loop.other)
         loops.append(loop)
@@ -72,7 +72,7 @@ def _turned(child: Link, parent: Link, names: set[str], joints: set[str]) -> Ite
     if child.joint.group is not None and (special := _special(child.drive)):
         raise ModelError(
             f"Mechanism.rerooted: joint {child.joint.name!r} would be reversed, and its drive has {listed(special)}, "
-            "which hold in the axes of its child.\n  fix: replace(drives={...: Drive()}) before"
+            "which are defined in the axes of its child.\n  fix: first replace(drives={...: Drive()})"
         )
     carried: dict[str, Any] = {"body": parent.body, "name": parent.name, "shapes": parent.shapes}
     (mount,) = canonicalize_all([Inverse(child.mount)])
@@ -96,7 +96,7 @@ def _is_unit(T: Expr) -> bool:
 
 
 def _special(drive: Drive) -> list[str]:
-    """What a drive has beyond the default one."""
+    """The attributes of a drive that differ from their defaults."""
     usual = Drive()
     names = [field.name for field in dataclasses.fields(drive)]
     return [name for name in names if repr(getattr(drive, name)) != repr(getattr(usual, name))]

@@ -1,4 +1,4 @@
-"""What surrounds a body: gravity, air and the rotating Earth, as expressions of its position.
+"""The environment of a body as expressions of its position: gravity, atmosphere and the rotating Earth.
 
 from twistax.mechanics.environment import atmosphere, earth, gravity
 

@@ -1,4 +1,6 @@
-"""Air at rest in hydrostatic balance, in layers of even temperature lapse: the US Standard Atmosphere 1976."""
+"""Static atmospheres in hydrostatic balance, with layers of constant temperature lapse rate: the US Standard Atmosphere
+1976.
+"""
 
 from __future__ import annotations
 
@@ -30,17 +32,17 @@ class LayeredAtmosphere:
 
     Attributes:
         bases: geopotential altitude of the layers' bases, increasing, m.
-        lapses: dT/dH in each layer, K/m.
-        temperature_at_base: at the lowest base, K.
-        pressure_at_base: at the lowest base, Pa.
+        lapses: temperature gradient dT/dH in each layer, K/m.
+        temperature_at_base: temperature at the lowest base, K.
+        pressure_at_base: pressure at the lowest base, Pa.
         gravity: acceleration that defines the geopotential metre, m/s2.
-        radius: of the planet, for the geopotential altitude, m.
-        molar_mass: of the air, kg/kmol.
-        gas_constant: universal, J/(kmol K).
-        heat_ratio: c_p / c_v.
+        radius: radius of the planet, for the geopotential altitude, m.
+        molar_mass: molar mass of the air, kg/kmol.
+        gas_constant: universal gas constant, J/(kmol K).
+        heat_ratio: ratio of specific heats c_p / c_v.
     Raises:
-        ModelError: bases and lapses differ in number, the bases do not increase, a temperature at a base or in the
-            last layer is not positive, another number is not positive.
+        ModelError: bases and lapses of different lengths; bases that do not increase; a temperature at a base or in the
+            last layer, or another number, that is not positive.
     """
 
     bases: tuple[float, ...]
@@ -67,8 +69,8 @@ class LayeredAtmosphere:
             raise ModelError(f"LayeredAtmosphere expects bases that increase, got {self.bases}")
         if not min(self.temperatures) > 0.0 or self.lapses[-1] < 0.0:
             raise ModelError(
-                "LayeredAtmosphere expects temperatures above 0 K, and above the last base one that does not fall, "
-                f"got {self.temperatures} K at the bases and a last lapse of {self.lapses[-1]} K/m"
+                "LayeredAtmosphere expects temperatures above 0 K, and no decrease above the last base, "
+                "got {self.temperatures} K at the bases and a last lapse of {self.lapses[-1]} K/m"
             )
 
     @property
@@ -79,7 +81,7 @@ class LayeredAtmosphere:
 
     @property
     def decay(self) -> float:
-        """g M / R*, K/m: d(ln p)/dH = -decay / T."""
+        """g M / R*, K/m, with d(ln p)/dH = -decay / T."""
         return self.gravity * self.molar_mass / self.gas_constant
 
     @property
@@ -113,15 +115,13 @@ class LayeredAtmosphere:
         return Sqrt(self.heat_ratio * self.specific_gas_constant * self.temperature(altitude))
 
 
-#: The US Standard Atmosphere 1976 from 0 to 86 km. Its own tables go down to -5 km by the first layer, as here.
-#:
-#: The temperature is the molecular-scale one, T M_0 / M. It is the temperature up to 80 km; between 80 and 86 km, where
-#: the standard lets the molar mass fall, it is up to 0.05 % above the kinetic temperature. Pressure, density and speed
-#: of sound are those of the standard all the way. Above 86 km this model stays at the temperature of 86 km, while the
-#: standard goes over to diffusive equilibrium: at 200 km the air here is 16,000 times too thin. Planets have
-#: `upper_atmosphere.US1976_TO_1000_KM` for that.
-#:
-#: Source: U.S. Standard Atmosphere, 1976, NOAA-S/T 76-1562: constants and layers of the molecular-scale temperature.
+#: The US Standard Atmosphere 1976 from 0 to 86 km. As in its own tables, the first layer extends down to -5 km. The
+#: temperature is the molecular-scale temperature, T M_0 / M. It is the kinetic temperature up to 80 km; between 80 and
+#: 86 km, where the molar mass of the standard decreases, it is up to 0.05 % higher. Pressure, density and speed of
+#: sound are those of the standard everywhere. Above 86 km this model keeps the temperature of 86 km, while the standard
+#: changes to diffusive equilibrium: at 200 km the density here is too small by a factor of 16,000. Planets use
+#: `upper_atmosphere.US1976_TO_1000_KM` for these altitudes. Source: U.S. Standard Atmosphere, 1976, NOAA-S/T 76-1562:
+#: constants and layers of the molecular-scale temperature.
 US1976 = LayeredAtmosphere(
     bases=(0.0, 11e3, 20e3, 32e3, 47e3, 51e3, 71e3, 84852.0),
     lapses=(-6.5e-3, 0.0, 1.0e-3, 2.8e-3, 0.0, -2.8e-3, -2.0e-3, 0.0),
@@ -135,7 +135,7 @@ US1976 = LayeredAtmosphere(
 )
 
 
-#: An air of kilometres and bars: the finite differences of the suite need values and steps of like size.
+#: An atmosphere in kilometres and bars: finite differences in tests need values and steps of similar size.
 _SMALL = LayeredAtmosphere(
     bases=(0.0, 1.0, 2.0),
     lapses=(-0.5, 0.0, 0.3),
@@ -163,10 +163,10 @@ class _OfAltitude(Entrywise):
 class Temperature(_OfAltitude):
     """Temperature of a layered atmosphere in K, entry by entry; the shape is that of altitude.
 
-    At the edge of a layer the derivative is that of the layer above.
+    At the boundary of two layers, the derivative is that of the layer above.
 
     Attributes:
-        altitude: geometric, m.
+        altitude: geometric altitude, m.
         air: the atmosphere, by default the US Standard Atmosphere 1976.
     """
 
@@ -179,10 +179,10 @@ class Temperature(_OfAltitude):
 class Pressure(_OfAltitude):
     """Pressure of a layered atmosphere in Pa, entry by entry; the shape is that of altitude.
 
-    Its first derivative is continuous; at the edge of a layer the second one is that of the layer above.
+    Its first derivative is continuous; at the boundary of two layers, the second one is that of the layer above.
 
     Attributes:
-        altitude: geometric, m.
+        altitude: geometric altitude, m.
         air: the atmosphere, by default the US Standard Atmosphere 1976.
     """
 

@@ -1,4 +1,4 @@
-"""The Earth as a rotating ellipsoid: geodetic coordinates, frames, and the velocity of its air.
+"""The Earth as a rotating ellipsoid: geodetic coordinates, frames, and the velocity of the air at rest on it.
 
 Frames, all right-handed, lengths in m, angles in rad:
 
@@ -44,12 +44,12 @@ class Geodetic(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Ellipsoid:
-    """An ellipsoid of revolution that rotates uniformly about its axis, with its air.
+    """A uniformly rotating ellipsoid of revolution, with the air at rest on it.
 
     Attributes:
         radius: the equatorial radius a, m.
         flattening: $f = (a - b) / a$, with b the distance of the poles from the centre.
-        rate: rate of rotation about z, rad/s.
+        rate: angular rate of rotation about z, rad/s.
     Raises: ModelError if the radius is not positive, the flattening not in [0, 1), or the rate not finite.
     """
 
@@ -65,26 +65,29 @@ class Ellipsoid:
 
     @property
     def polar_radius(self) -> float:
-        """b = a (1 - f), m."""
+        """The polar radius b = a (1 - f), m."""
         return self.radius * (1.0 - self.flattening)
 
     @property
     def eccentricity_squared(self) -> float:
-        """$e^2 = f (2 - f)$."""
+        """The squared eccentricity $e^2 = f (2 - f)$."""
         return self.flattening * (2.0 - self.flattening)
 
     def geodetic(self, position: ExprLike) -> Geodetic:
-        """Latitude, longitude and altitude of an Earth-fixed position (3,).
+        """Geodetic latitude, longitude and altitude of an Earth-fixed position (3,).
 
         For an inertial position, latitude and altitude are the same; the longitude is then relative to the inertial x
-        axis. On the axis the longitude is defined as 0 and its derivative as 0. Raises ShapeError.
+        axis. On the axis the longitude is defined as 0 and its derivative as 0. Raises ShapeError for a position of
+        another shape.
         """
         p = of_shape("geodetic", "position", position, (3,))
         meridian = Meridian(Norm(p[:2]), p[2], self)
         return Geodetic(known_as(meridian[0], unit=ONE), Atan2(p[1], p[0]), known_as(meridian[1], unit=METRE))
 
     def position(self, latitude: ExprLike, longitude: ExprLike, altitude: ExprLike) -> Expr:
-        """The Earth-fixed position (3,) of geodetic coordinates, (), rad and m. Raises ShapeError."""
+        """The Earth-fixed position (3,) of geodetic coordinates, (), rad and m. Raises ShapeError for coordinates that
+        are not scalars.
+        """
         latitude, longitude = _angle("position", "latitude", latitude), _angle("position", "longitude", longitude)
         altitude = of_shape("position", "altitude", altitude, ())
         sine, e2, normal = Sin(latitude), self.eccentricity_squared, self.radii(latitude)[1]
@@ -94,7 +97,8 @@ class Ellipsoid:
     def radii(self, latitude: ExprLike) -> tuple[Expr, Expr]:
         """Radii of curvature at a geodetic latitude (), of the meridian and of the normal section across it, m.
 
-        $M = a (1 - e^2) / (1 - e^2 s^2)^(3/2)$, $N = a / (1 - e^2 s^2)^(1/2)$, s the sine. Raises ShapeError.
+        $M = a (1 - e^2) / (1 - e^2 s^2)^(3/2)$ and $N = a / (1 - e^2 s^2)^(1/2)$, with s the sine of the latitude.
+        Raises ShapeError if it is not a scalar.
         """
         e2 = self.eccentricity_squared
         rest = 1.0 - e2 * Sin(_angle("radii", "latitude", latitude)) ** 2
@@ -102,11 +106,14 @@ class Ellipsoid:
         return (1.0 - e2) * normal / rest, normal
 
     def to_inertial(self, t: ExprLike) -> Expr:
-        """The rotation (3, 3) from Earth-fixed to inertial axes, which coincide at t = 0 s. Raises ShapeError."""
+        """The rotation (3, 3) from Earth-fixed to inertial axes at a time, s; the axes coincide at t = 0. Raises
+        ShapeError if the time is not a scalar.
+        """
         return AxisRotation(self.rate * of_shape("to_inertial", "t", t, ()), (0.0, 0.0, 1.0))
 
     def air_velocity(self, position: ExprLike, velocity: ExprLike) -> Expr:
-        """Velocity (3,) relative to air at rest on the turning Earth, $v - W x p$, from inertial position and velocity.
+        """Velocity (3,) relative to air at rest on the rotating Earth, $v - W x p$, from inertial position and
+        velocity.
 
         Raises ShapeError.
         """
@@ -123,8 +130,8 @@ WGS84 = Ellipsoid(radius=6378137.0, flattening=1.0 / 298.257223563, rate=7.29211
 def north_east_down(latitude: ExprLike, longitude: ExprLike) -> Expr:
     """The rotation (3, 3) from local axes north, east, down to Earth-fixed axes: its columns are these directions.
 
-    Args are a latitude () and a longitude (), rad. At a pole north is that of the meridian of this longitude. Raises
-    ShapeError.
+    Args: a latitude () and a longitude (), rad. At a pole, north is that of the meridian of this longitude. Raises
+    ShapeError if they are not scalars.
     """
     where = "north_east_down"
     latitude, longitude = _angle(where, "latitude", latitude), _angle(where, "longitude", longitude)
@@ -135,7 +142,7 @@ def north_east_down(latitude: ExprLike, longitude: ExprLike) -> Expr:
 def east_north_up(latitude: ExprLike, longitude: ExprLike) -> Expr:
     """The rotation (3, 3) from local axes east, north, up to Earth-fixed axes.
 
-    Args are a latitude () and a longitude (), rad. Raises ShapeError.
+    Args: a latitude () and a longitude (), rad. Raises ShapeError if they are not scalars.
     """
     return north_east_down(latitude, longitude) @ np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
@@ -143,9 +150,9 @@ def east_north_up(latitude: ExprLike, longitude: ExprLike) -> Expr:
 class OffPole(Entrywise):
     """0 at latitudes that have a north direction, NaN at the poles, entry by entry.
 
-    It is added to quantities that do not exist at the poles. A latitude counts as a pole if its cosine is at most four
-    units of round-off: 1e-15 in double precision (6 nm on the Earth), 5e-7 in single precision (3 m). There the cosine
-    of the latitude has no significant digits, nor has any quotient by it.
+    Add it to quantities that are not defined at the poles. A latitude counts as a pole if the cosine of the latitude is
+    at most four units of round-off: 1e-15 in double precision (6 nm on the Earth), 5e-7 in single precision (3 m).
+    Within this distance the cosine, and every quotient by it, has no significant digits.
 
     Shapes: s -> s.
 
@@ -161,24 +168,23 @@ class OffPole(Entrywise):
     def evaluate(self, *values: Array) -> Array:
         (latitude,) = values
         noise = 4.0 * jnp.finfo(latitude.dtype).eps
-        # By the latitude, so that the derivative at a pole is NaN too.
+        # A function of the latitude, so that the derivative at a pole is NaN, too.
         return latitude * jnp.where(jnp.abs(jnp.cos(latitude)) > noise, 0.0, jnp.nan).astype(latitude.dtype)
 
 
 class Meridian(Expr):
     """Geodetic latitude and altitude of a point in its meridian plane: [latitude in rad, altitude in m].
 
-    Shapes: (), () -> (2,). Bowring's iteration for the reduced latitude, three iterations, without trigonometry. The
-    altitude is measured from the computed point of the ellipsoid, along its vertical; an error of the latitude has
-    a second-order effect.
-    Derivatives are those of the exact functions: along the vertical for the altitude, across it for the latitude.
-    Accurate to round-off from 100 km below the ellipsoid outward. Within 50 km of the centre the latitude is not
-    defined.
+    Shapes: (), () -> (2,). Computed by three steps of Bowring's iteration for the reduced latitude, without
+    trigonometry. The altitude is measured from the computed point of the ellipsoid, along its vertical, so an error of
+    the latitude has a second-order effect. Derivatives are those of the exact functions: along the vertical for the
+    altitude, across it for the latitude. The results are accurate to round-off from 100 km below the ellipsoid outward.
+    Within 50 km of the centre the latitude is not defined.
 
     Attributes:
         rho: distance from the axis, m, not negative.
         z: height above the equatorial plane, m.
-        ellipsoid: the reference.
+        ellipsoid: the reference ellipsoid.
     Raises: ShapeError if rho or z is not a scalar.
     Source: Bowring, Transformation from spatial to geographical coordinates, Survey Review 23 (1976).
     """
@@ -188,7 +194,7 @@ class Meridian(Expr):
     ellipsoid: Ellipsoid = WGS84
     takes, gives = ((), ()), (2,)
     kinds = FixedUnits((METRE, METRE))
-    # A planet of size one: the finite differences of the suite need values and steps of like size.
+    # A planet of unit size: finite differences in tests need values and steps of similar size.
     cases = (
         {"rho": 0.8, "z": 0.9, "ellipsoid": Ellipsoid(radius=1.0, flattening=0.1, rate=0.0)},
         {"rho": 1.1, "z": -0.01, "ellipsoid": Ellipsoid(radius=1.0, flattening=0.1, rate=0.0)},

@@ -1,4 +1,4 @@
-"""Gravity of a planet at a position relative to its centre, as expressions."""
+"""Gravity models of a planet at a position relative to its centre, as expressions."""
 
 from __future__ import annotations
 
@@ -32,7 +32,9 @@ class PointMass:
         positive(self, "gm", self.gm)
 
     def acceleration(self, position: ExprLike) -> Expr:
-        """$-GM p / |p|^3$, (3,) in m/s2, of a position p (3,) from the centre in m. Raises ShapeError."""
+        """The acceleration $-GM p / |p|^3$ (3,), m/s2, at a position p (3,) from the centre in m. Raises ShapeError for
+        a position of another shape.
+        """
         p = _position(position)
         square = Dot(p, p)
         return (-self.gm / (square * Sqrt(square))) * p
@@ -43,7 +45,7 @@ class J2:
     """Gravity of an oblate planet: a point mass and the second zonal harmonic.
 
     The potential is $U = GM/r (1 - J2 (R/r)^2 (3 (z/r)^2 - 1)/2)$, with z along the axis of rotation. It does not
-    depend on the longitude, so the position may be in axes that rotate with the planet, or not.
+    depend on the longitude, so the position may be in inertial or in planet-fixed axes.
 
     Attributes:
         gm: gravitational constant times mass, m3/s2.
@@ -65,7 +67,8 @@ class J2:
         number("J2: j2", self.j2, error=ModelError)
 
     def acceleration(self, position: ExprLike) -> Expr:
-        """The gradient of U, (3,) in m/s2, of a position p (3,) from the centre in m. Raises ShapeError.
+        """The gradient of U (3,), m/s2, at a position p (3,) from the centre in m. Raises ShapeError for a position of
+        another shape.
 
         $-GM/r^3 [1 + k (1 - s); 1 + k (1 - s); 1 + k (3 - s)] p$, entry by entry;
         $k = 3/2 J2 (R/r)^2$, $s = 5 (z/r)^2$.
@@ -78,15 +81,16 @@ class J2:
 
 
 def gradient_torque(gm: float, position: ExprLike, inertia: ExprLike) -> Expr:
-    """The gravity-gradient torque $3 GM / r^5 p x I p$ (3,), N m, of a point mass on a body, about its centre of mass.
+    """The gravity-gradient torque $3 GM / r^5 p x I p$ (3,), N m, of a point mass on a body, about the body's centre of
+    mass.
 
-    It is correct to first order in the size of the body over its distance.
+    It is accurate to first order in the ratio of the body's size to its distance.
 
     Args:
         gm: gravitational constant times mass, m3/s2.
         position: p (3,) of the body's centre of mass from the centre of the planet, in body axes, m.
         inertia: I (3, 3) about the centre of mass in body axes, kg m2.
-    Raises: ModelError if gm is not positive; ShapeError.
+    Raises: ModelError if gm is not positive; ShapeError for arguments of the wrong shape.
     Source: Hughes, Spacecraft Attitude Dynamics, section 8.1.
     """
     number("gradient_torque: gm", gm, "a positive number of m3/s2", lambda value: 0.0 < value < np.inf, ModelError)

@@ -1,4 +1,4 @@
-"""Gravity of a planet as a series of spherical harmonics, and of the Earth by the first terms of EGM2008."""
+"""Gravity of a planet as a series of spherical harmonics, and of the Earth to degree and order 8 of EGM2008."""
 
 from __future__ import annotations
 
@@ -24,16 +24,17 @@ __all__ = ["EGM2008", "HarmonicPull", "Harmonics"]
 
 @dataclasses.dataclass(frozen=True)
 class Harmonics:
-    """Gravity of the potential $U = GM/r sum_nm (R/r)^n P_nm(sin(phi)) (C_nm cos(m lambda) + S_nm sin(m lambda))$.
+    """Gravity as the gradient of the potential $U = GM/r sum_nm (R/r)^n P_nm(sin(phi)) (C_nm cos(m lambda) + S_nm sin(m
+    lambda))$.
 
-    phi and lambda are the geocentric latitude and the longitude, P_nm the fully normalised associated Legendre
-    functions and C_00 = 1. Coefficients that are not in `terms` are zero.
+    Here phi and lambda are the geocentric latitude and the longitude, P_nm the fully normalised associated Legendre
+    functions, and C_00 = 1. Coefficients that are not in `terms` are zero.
 
     Attributes:
         gm: gravitational constant times mass, m3/s2.
-        radius: R, m.
+        radius: the reference radius R, m.
         terms: (n, m, C_nm, S_nm), fully normalised: degree, order, cosine, sine.
-    Raises: ModelError where gm or radius is not positive, an order is above its degree, a degree is not from 2 to 40, a
+    Raises: ModelError if gm or radius is not positive, an order is above its degree, a degree is not from 2 to 40, a
         coefficient is not finite, or a term occurs twice.
     """
 
@@ -73,29 +74,33 @@ class Harmonics:
         return max((n for n, *_ in self.terms), default=0)
 
     def up_to(self, degree: int, order: int | None = None) -> Harmonics:
-        """The terms up to a degree and an order; up_to(2, 0) is the point mass with J2.
+        """A model with the terms up to a degree and an order; up_to(2, 0) is the point mass with J2.
 
-        Raises: ModelError for a degree above that of the model.
+        Raises: ModelError for a degree above that of this model.
         """
         if whole("up_to: degree", degree, 0, ModelError) > self.degree:
-            raise ModelError(f"up_to expects a degree up to {self.degree}, which these terms have, got {short(degree)}")
+            raise ModelError(
+                f"up_to expects a degree up to {self.degree}, the degree of this model, got {short(degree)}"
+            )
         most = degree if order is None else whole("up_to: order", order, 0, ModelError)
         return dataclasses.replace(self, terms=tuple(t for t in self.terms if t[0] <= degree and t[1] <= most))
 
     def acceleration(self, position: ExprLike) -> Expr:
-        """The gradient of U, (3,) in m/s2, of a planet-fixed position (3,) from the centre in m. Raises ShapeError."""
+        """The gradient of U (3,), m/s2, at a planet-fixed position (3,) from the centre in m. Raises ShapeError for a
+        position of another shape.
+        """
         return HarmonicPull(of_shape("acceleration", "position", position, (3,)), self)
 
 
 class HarmonicPull(Expr):
     """The gradient of the potential of `Harmonics`. Shapes: (3,) -> (3,), m -> m/s2.
 
-    By the recursions of V_nm and W_nm, which are $(R/r)^(n+1) P_nm$ times the cosine and sine; they have no singularity
-    at the poles. P_nm is fully normalised, because otherwise single precision overflows at degree 30. A term of degree
-    n takes some 20 operations.
+    Computed by the recursions of V_nm and W_nm, which are $(R/r)^(n+1) P_nm$ times the cosine and sine and have no
+    singularity at the poles. P_nm is fully normalised, because otherwise single precision overflows at degree 30. Each
+    term takes some 20 operations.
 
     Attributes:
-        position: planet-fixed, from the centre, m.
+        position: planet-fixed position from the centre, m.
         model: the coefficients.
     Raises: ShapeError if position is not of shape (3,).
     Source: Cunningham, On the computation of the spherical harmonic terms needed during the numerical integration of
@@ -143,14 +148,14 @@ class HarmonicPull(Expr):
 
 
 def _plain(n: int, m: int) -> float:
-    """The factor from a fully normalised coefficient to one that is not normalised."""
+    """The conversion factor from a fully normalised coefficient to an unnormalised one."""
     return math.sqrt((1 if m == 0 else 2) * (2 * n + 1) * math.factorial(n - m) / math.factorial(n + m))
 
 
 def _parts(
     n: int, m: int, C: float, S: float, V: dict[tuple[int, int], Array], W: dict[tuple[int, int], Array]
 ) -> tuple[Array, Array, Array]:
-    """x, y and z of a term, in GM / R^2."""
+    """The x, y and z components of a term, in GM / R^2."""
     level, up = (_plain(n, m) / _plain(n + 1, order) for order in (m, m + 1))
     z = -(n - m + 1) * level * (C * V[n + 1, m] + S * W[n + 1, m])
     if m == 0:

@@ -1,6 +1,7 @@
-"""The US Standard Atmosphere 1976 up to 1000 km, and its gases in balance beyond.
+"""The US Standard Atmosphere 1976 up to 1000 km, and its gases in diffusive equilibrium above.
 
-Layers reach to 86 km. From there to 1000 km a table has what the standard's equations of diffusive equilibrium give.
+It has layers up to 86 km. From there to 1000 km, a table contains the solution of the standard's equations of diffusive
+equilibrium.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ __all__ = ["US1976_TO_1000_KM", "UpperAtmosphere"]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class UpperAtmosphere:
-    """An atmosphere up to any altitude: layers, then a table by altitude, then gases in diffusive equilibrium.
+    """An atmosphere up to any altitude: layers, then a table over altitude, then gases in diffusive equilibrium.
 
     The table is interpolated by cubic splines of the temperature and of the logarithms of pressure and density. Above
     its last altitude $z_1$ the temperature T is constant, and each gas has its own scale height under gravity that
@@ -34,14 +35,14 @@ class UpperAtmosphere:
     dominate at high altitude. Gravity, radius and gas constant are those of `below`.
 
     Attributes:
-        below: the layers, up to the first altitude of the table.
+        below: the layers, used up to the first altitude of the table.
         table: rows of geometric altitude, km, temperature, K, ln(p / Pa), ln(rho / (kg/m3)).
-        gases: molar mass, kg/kmol, and number density, of each gas at the last altitude; numbers may be in any unit. By
-            default one gas, of the mean molar mass there.
+        gases: molar mass, kg/kmol, and number density of each gas at the last altitude; number densities may be in any
+            common unit. By default a single gas with the mean molar mass there.
     Raises:
         ModelError: gases that are not pairs of positive numbers.
-    Source: U.S. Standard Atmosphere, 1976, NOAA-S/T 76-1562, equation (36) without its eddies, thermal diffusion and
-    flow, for gases above 500 km.
+    Source: U.S. Standard Atmosphere, 1976, NOAA-S/T 76-1562, equation (36) without eddy and thermal diffusion and flow,
+    for gases above 500 km.
     """
 
     below: LayeredAtmosphere
@@ -57,7 +58,7 @@ class UpperAtmosphere:
             )
 
     def temperature(self, altitude: ExprLike) -> Expr:
-        """Kinetic temperature in K at geometric altitudes in m; below the table that of the layers."""
+        """Kinetic temperature in K at geometric altitudes in m; below the table, the temperature of the layers."""
         return self._joined(altitude, self.below.temperature(altitude), 1)
 
     def pressure(self, altitude: ExprLike) -> Expr:
@@ -69,7 +70,9 @@ class UpperAtmosphere:
         return self._joined(altitude, self.below.density(altitude), 3)
 
     def speed_of_sound(self, altitude: ExprLike) -> Expr:
-        """$sqrt(gamma p / rho)$ in m/s at geometric altitudes in m; the standard has none above 86 km."""
+        """Speed of sound $sqrt(gamma p / rho)$ in m/s at geometric altitudes in m; the standard defines none above 86
+        km.
+        """
         return Sqrt(self.below.heat_ratio * self.pressure(altitude) / self.density(altitude))
 
     def _joined(self, altitude: ExprLike, low: Expr, column: int) -> Expr:
@@ -81,7 +84,7 @@ class UpperAtmosphere:
         return Where(z <= bottom, low, high)
 
     def _left(self, z: Expr, top: float, by_mass: bool) -> Expr:
-        """The ratio of pressure or density to its value at the last altitude, at altitudes above."""
+        """The ratio of pressure or density to its value at the last altitude of the table, at altitudes above it."""
         air = self.below
         temperature, log_pressure, log_density = np.asarray(self.table)[-1, 1:]
         mean = np.exp(log_density - log_pressure) * air.gas_constant * temperature
@@ -95,9 +98,9 @@ class UpperAtmosphere:
 
 _UPPER = json.loads(Path(__file__).with_name("us1976_upper.json").read_text())
 
-#: Within 5e-4 of what the standard's equations give for pressure and density, and 0.1 K. The standard's printed tables
-#: differ from these by 1e-3 of the pressure above 700 km. The table has the kinetic temperature: it starts 0.08 K below
-#: the molecular-scale temperature of the layers. Beyond 1000 km, where the standard ends, atomic oxygen, helium and
-#: hydrogen go on in balance at 1000 K from their number densities at 1000 km.
-#: Source: U.S. Standard Atmosphere, 1976, NOAA-S/T 76-1562.
+#: Pressure and density differ from the solution of the standard's equations by at most 5e-4, the temperature by 0.1 K.
+#: The standard's printed tables differ from these equations by 1e-3 of the pressure above 700 km. The table has the
+#: kinetic temperature: it starts 0.08 K below the molecular-scale temperature of the layers. Above 1000 km, where the
+#: standard ends, atomic oxygen, helium and hydrogen are in diffusive equilibrium at 1000 K, from their number densities
+#: at 1000 km. Source: U.S. Standard Atmosphere, 1976, NOAA-S/T 76-1562.
 US1976_TO_1000_KM = UpperAtmosphere(US1976, _UPPER["rows"], tuple(map(tuple, _UPPER["gases"].values())))

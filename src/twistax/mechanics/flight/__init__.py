@@ -1,4 +1,4 @@
-"""Flight over a planet: a start in one line, air data, winds, and forces, all of them expressions.
+"""Flight over a planet, as expressions: initial states, air data, winds, and forces.
 
 from twistax import units
 from twistax.mechanics import SpatialInertia, flight

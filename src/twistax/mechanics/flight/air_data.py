@@ -1,4 +1,5 @@
-"""Air data of a body in flight (angles, Mach number, pressures), and aerodynamic forces in three kinds of axes.
+"""Air data of a body in flight (angles, Mach number, pressures), and aerodynamic forces in body, stability or wind
+axes.
 
 Body axes: x forward, y to the right, z down.
 """
@@ -32,13 +33,13 @@ _DENSITY, _PRESSURE = KILOGRAM / METRE**3, NEWTON / METRE**2
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class AirData:
-    """Air data of a body, as expressions that are built at first access.
+    """Air data of a body, as expressions that are built when first read.
 
     Attributes:
-        velocity: of the body relative to the air, (3,) in body axes, m/s.
-        altitude: geometric, (), m.
+        velocity: velocity of the body relative to the air, (3,) in body axes, m/s.
+        altitude: geometric altitude, (), m.
         air: the atmosphere.
-        rate: of the body relative to the air, (3,) in body axes, rad/s.
+        rate: angular rate of the body relative to the air, (3,) in body axes, rad/s.
     """
 
     velocity: Expr
@@ -64,37 +65,37 @@ class AirData:
 
     @cached_property
     def density(self) -> Expr:
-        """rho, (), kg/m3."""
+        """Air density rho, (), kg/m3."""
         return known_as(self.air.density(self.altitude), unit=_DENSITY)
 
     @cached_property
     def pressure(self) -> Expr:
-        """p, of the air at rest, (), Pa."""
+        """Static pressure p, (), Pa."""
         return known_as(self.air.pressure(self.altitude), unit=_PRESSURE)
 
     @cached_property
     def speed_of_sound(self) -> Expr:
-        """a, (), m/s."""
+        """Speed of sound a, (), m/s."""
         return known_as(self.air.speed_of_sound(self.altitude), unit=METRE / SECOND)
 
     @cached_property
     def mach(self) -> Expr:
-        """$V / a$, ()."""
+        """Mach number $V / a$, ()."""
         return self.airspeed / self.speed_of_sound
 
     @cached_property
     def dynamic_pressure(self) -> Expr:
-        """$rho V^2 / 2$, (), Pa."""
+        """Dynamic pressure $rho V^2 / 2$, (), Pa."""
         return known_as(0.5 * self.density * Dot(self.velocity, self.velocity), unit=_PRESSURE)
 
     @cached_property
     def equivalent_airspeed(self) -> Expr:
-        """$V sqrt(rho / rho_0)$, rho_0 the density at altitude 0, (), m/s."""
+        """Equivalent airspeed $V sqrt(rho / rho_0)$, with rho_0 the density at altitude 0, (), m/s."""
         return self.airspeed * Sqrt(self.density / self.air.density(0.0))
 
     @cached_property
     def impact_pressure(self) -> Expr:
-        """The impact pressure of a pitot tube (), Pa: $p ((1 + M^2 / 5)^(7/2) - 1)$, above Mach 1 Rayleigh's formula
+        """The impact pressure of a pitot tube (), Pa: $p ((1 + M^2 / 5)^(7/2) - 1)$; above Mach 1, Rayleigh's formula
         behind a normal shock.
 
         Source: NACA Report 1135, Equations, tables and charts for compressible flow (1953), eqs. (44) and (100).
@@ -104,7 +105,7 @@ class AirData:
         return self.pressure * (Where(square < 1.0, (1.0 + 0.2 * square) ** 3.5, ratio_behind_shock) - 1.0)
 
 
-#: The rotation (3, 3) to body axes from the axes in which coefficients are given.
+#: The rotation (3, 3) to body axes from the axes of the coefficients.
 AirAxes: TypeAlias = Callable[[AirData], Expr]
 
 
@@ -128,7 +129,7 @@ def wind_axes(air: AirData) -> Expr:
 
 
 def _not_negative(place: str, value: ExprLike) -> None:
-    """Raise ModelError for a number below 0; the value of an expression is not known."""
+    """Raise ModelError for a negative number; the value of an expression is not known."""
     known = value.value if isinstance(value, Constant) else value
     if not isinstance(known, Expr):
         number(place, known, "0 or more", lambda x: 0.0 <= x < np.inf, ModelError)
@@ -138,7 +139,7 @@ def drag(air: AirData, area: ExprLike) -> Expr:
     """The drag force $-rho V C_D S u / 2$ (3,) in body axes, N, for an area C_D S (), m2, and the air velocity u;
     smooth at rest.
 
-    Raises: ShapeError; ModelError for a number below 0.
+    Raises: ShapeError for arguments of the wrong shape; ModelError for a negative number.
     """
     of_kind("drag", "air", air, AirData)
     S = of_shape("drag", "area", area, (), unit=metres**2)
@@ -155,8 +156,9 @@ class Aerodynamics:
         span: b, m, the length of roll and yaw coefficients.
         chord: c, m, the length of pitch coefficients.
         reference: moment reference point, (3,) from the body's origin, m.
-        axes: axes of the coefficients: `body_axes`, `stability_axes` or `wind_axes`.
-    Raises: ShapeError, ModelError for values that are not numbers or expressions, or are below 0.
+        axes: axes of the force coefficients: `body_axes`, `stability_axes` or `wind_axes`.
+    Raises: ShapeError for values of the wrong shape; ModelError for values that are not numbers or expressions, or are
+    negative.
     """
 
     area: ExprLike
@@ -175,7 +177,7 @@ class Aerodynamics:
 
     @property
     def lengths(self) -> Expr:
-        """(b, c, b)."""
+        """The reference lengths (b, c, b) of roll, pitch and yaw."""
         return Concat(self.span, self.chord, self.span)
 
     def reduced_rates(self, air: AirData) -> Expr:
@@ -195,6 +197,6 @@ class Aerodynamics:
 
 
 def _vector(name: str, value: ExprLike) -> Expr:
-    """A vector, or three expressions and numbers."""
+    """A vector, from a vector or from three expressions and numbers."""
     joined = Concat(*value) if isinstance(value, (list, tuple)) else value
     return of_shape("Aerodynamics.wrench", name, joined, (3,))

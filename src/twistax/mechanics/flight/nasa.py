@@ -1,4 +1,4 @@
-"""Columns of NASA's published trajectories for a flight, so that both can be compared.
+"""Table columns of NASA's published trajectories for a flight, for comparison.
 
 Source of names and units: the files that come with NASA/TM-2015-218675, Check-Cases for Verification of
 6-Degree-of-Freedom Flight Vehicle Simulations (2015).
@@ -18,7 +18,7 @@ from ...groups.columns import Column, Layout
 
 __all__ = ["UNITS", "NasaColumns"]
 
-#: Units as the files write them.
+#: Units as the files spell them.
 UNITS = {
     "m": u.metres,
     "ft": u.feet,
@@ -45,7 +45,8 @@ UNITS = {
 }
 
 _XYZ, _TURNS = ("X", "Y", "Z"), ("Roll", "Pitch", "Yaw")
-#: Quantity, the output that it is, units in the files in English units and in SI, components.
+#: The column name of a quantity, the corresponding output, its units in the files in English units and in SI, and its
+#: components.
 _QUANTITIES: tuple[tuple[str, str, str, str, tuple[str, ...]], ...] = (
     ("eiPosition", "position", "ft", "m", _XYZ),
     ("eiVelocity", "velocity", "ft_s", "m_s", _XYZ),
@@ -79,7 +80,8 @@ class NasaColumns(Layout):
     aero_force and aero_moment (3,). Columns without an output are omitted.
 
     Attributes:
-        si: in m, s, rad, kg, N, Pa and K, as in the files called _si; else in feet, degrees, slugs, pounds and knots.
+        si: True for m, s, rad, kg, N, Pa and K, as in the files with _si in their names; False for feet, degrees,
+            slugs, pounds and knots.
     Raises: ModelError for an `si` that is not a bool.
     """
 
@@ -89,7 +91,7 @@ class NasaColumns(Layout):
         instance("NasaColumns: si", self.si, bool, "True or False", ModelError)
 
     def columns(self, solution: Any) -> list[Column]:
-        """Raises InputError where no output has one of these names, ShapeError for one of another shape."""
+        """Raises InputError if no output has one of these names, and ShapeError for an output of another shape."""
         outputs = {name: np.asarray(value) for name, value in solution.outputs.items()}
         if "ned_velocity" in outputs:
             outputs = {"altitude_rate": -outputs["ned_velocity"][:, 2]} | outputs
@@ -108,6 +110,6 @@ class NasaColumns(Layout):
         if len(columns) == 1:
             raise InputError(
                 f"NasaColumns expects outputs of a flight, such as 'position', got {listed(outputs)}.\n"
-                "  fix: integrate vehicle.system(...), or name outputs as NasaColumns says"
+                "  fix: integrate vehicle.system(...), or use the output names that NasaColumns lists"
             )
         return columns

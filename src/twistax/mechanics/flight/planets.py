@@ -1,4 +1,4 @@
-"""Planets as data: figure and rotation, gravity, air; and their axes as poses.
+"""Planets as data: ellipsoid and rotation, gravity, atmosphere; and their axes as poses.
 
 Frames are those of `environment.earth`: inertial, planet-fixed, local. T_ab maps coordinates of frame b to frame a.
 """
@@ -30,7 +30,7 @@ __all__ = [
     "local_axes",
 ]
 
-#: Local axes: the rotation (3, 3) to planet-fixed axes, of latitude and longitude.
+#: The rotation (3, 3) from local to planet-fixed axes, as a function of latitude and longitude.
 Axes: TypeAlias = Callable[[ExprLike, ExprLike], Expr]
 
 
@@ -40,14 +40,16 @@ class Gravity(Protocol):
 
     @property
     def axisymmetric(self) -> bool:
-        """Whether it is independent of the longitude."""
+        """Whether the gravity is independent of the longitude."""
 
     @property
     def gm(self) -> float:
         """Gravitational constant times mass, m3/s2."""
 
     def acceleration(self, position: ExprLike) -> Expr:
-        """(3,) in m/s2 at a planet-fixed position (3,) in m; in any axes about the same z, if axisymmetric."""
+        """The acceleration (3,), m/s2, at a planet-fixed position (3,) in m; if axisymmetric, in any axes with the same
+        z.
+        """
 
 
 @runtime_checkable
@@ -69,12 +71,12 @@ class Air(Protocol):
 
 @dataclasses.dataclass(frozen=True)
 class Planet:
-    """A planet that rotates about its z axis: its figure, gravity and atmosphere.
+    """A planet that rotates about its z axis: its ellipsoid, gravity and atmosphere.
 
     Attributes:
         figure: the ellipsoid to which latitudes and altitudes refer, and its rate of rotation.
-        gravity: its gravity.
-        air: its atmosphere, at rest relative to the planet.
+        gravity: the gravity model.
+        air: the atmosphere, at rest relative to the planet.
     Raises: ModelError for a part of another type.
     """
 
@@ -85,30 +87,34 @@ class Planet:
     def __post_init__(self) -> None:
         for name, kind in (("figure", earth.Ellipsoid), ("gravity", Gravity), ("air", Air)):
             if not isinstance(getattr(self, name), kind):
-                raise ModelError(f"Planet expects {name} to be of {kind.__name__}, got {getattr(self, name)!r}")
+                raise ModelError(
+                    f"Planet expects {name} to be an instance of {kind.__name__}, got {getattr(self, name)!r}"
+                )
 
     def still(self) -> Planet:
-        """The same planet without rotation."""
+        """A copy without rotation."""
         return dataclasses.replace(self, figure=dataclasses.replace(self.figure, rate=0.0))
 
     def fixed_pose(self, t: ExprLike) -> Expr:
-        """T_if (4, 4): planet-fixed axes in inertial ones at time t (), s. Raises ShapeError."""
+        """The pose T_if (4, 4) of planet-fixed axes in inertial axes at time t (), s. Raises ShapeError if t is not a
+        scalar.
+        """
         return rotation(self.figure.to_inertial(t))
 
     def local_pose(
         self, latitude: ExprLike, longitude: ExprLike, altitude: ExprLike, axes: Axes = earth.north_east_down
     ) -> Expr:
-        """T_fl (4, 4): local axes at a position in planet-fixed ones.
+        """The pose T_fl (4, 4) of local axes at a position, in planet-fixed axes.
 
         Args:
-            latitude, longitude, altitude: of the position, (), rad and m.
+            latitude, longitude, altitude: coordinates of the position, (), rad and m.
             axes: `earth.north_east_down` or `earth.east_north_up`.
         Raises: ShapeError.
         """
         return Pose(axes(latitude, longitude), self.figure.position(latitude, longitude, altitude))
 
     def gravitation(self, position: ExprLike, t: ExprLike) -> Expr:
-        """Acceleration (3,) by gravity in inertial axes, m/s2, at an inertial position (3,) and a time (), s."""
+        """Gravitational acceleration (3,) in inertial axes, m/s2, at an inertial position (3,) and a time (), s."""
         p = of_shape("gravitation", "position", position, (3,))
         if self.gravity.axisymmetric:
             return self.gravity.acceleration(p)
@@ -116,40 +122,41 @@ class Planet:
         return turn @ self.gravity.acceleration(turn.T @ p)
 
 
-#: WGS84 with J2, and the US Standard Atmosphere 1976, above 1000 km with its gases in balance.
+#: WGS84 with J2, and the US Standard Atmosphere 1976, with its gases in diffusive equilibrium above 1000 km.
 EARTH = Planet(earth.WGS84, gravity.EARTH_J2)
 
-#: A round Earth of the mean radius that NASA's check-cases 4 and 5 are flown with, with an inverse-square pull.
-#: Source: NASA/TM-2015-218675. The simulations' trajectories start 6371007.1809 m + 30,000 ft from the centre.
+#: A spherical Earth with the mean radius and the inverse-square gravity of NASA's check-cases 4 and 5. Source:
+#: NASA/TM-2015-218675. The trajectories of these simulations start at a distance of 6371007.1809 m + 30,000 ft from the
+#: centre.
 ROUND_EARTH = Planet(earth.Ellipsoid(6371007.1809, 0.0, earth.WGS84.rate), gravity.EARTH_POINT_MASS)
 
 
-# ---- what a rate of rotation is relative to ------------------------------------------------------------------------
+# ---- reference axes of angular rates --------------------------------------------------------------------------------
 
-#: The rate (3,) of axes relative to inertial ones, rad/s in north-east-down, of a planet, latitude, altitude and
-#: velocity north-east-down relative to the planet.
+#: The rate (3,) of axes relative to inertial axes, rad/s in north-east-down components, as a function of planet,
+#: latitude, altitude and velocity relative to the planet in north-east-down components.
 Reference: TypeAlias = Callable[[Planet, ExprLike, ExprLike, ExprLike], Expr]
 
 
-#: What a `Reference` is a function of.
+#: The arguments of a `Reference`.
 REFERENCE_TAKES = ("planet", "latitude", "altitude", "ned_velocity")
 
 
 def inertial_axes(planet: Planet, latitude: ExprLike, altitude: ExprLike, ned_velocity: ExprLike) -> Expr:
-    """Inertial axes, for rates relative to inertial space: their rate is zero."""
+    """Inertial axes, for angular rates relative to inertial space: their rate is zero."""
     return Constant([0.0, 0.0, 0.0])
 
 
 def fixed_axes(planet: Planet, latitude: ExprLike, altitude: ExprLike, ned_velocity: ExprLike) -> Expr:
-    """Planet-fixed axes, for rates relative to the planet: their rate in north-east-down axes is W (cos(latitude), 0,
-    -sin(latitude)).
+    """Planet-fixed axes, for angular rates relative to the planet: their rate in north-east-down axes is W
+    (cos(latitude), 0, -sin(latitude)).
     """
     return planet.figure.rate * Concat(Cos(latitude), 0.0, -Sin(latitude))
 
 
 def local_axes(planet: Planet, latitude: ExprLike, altitude: ExprLike, ned_velocity: ExprLike) -> Expr:
-    """North-east-down axes, for rates relative to the local horizon. They rotate with the planet and with the motion
-    over it.
+    """North-east-down axes, for angular rates relative to the local horizon. They rotate with the planet and with the
+    motion over it.
 
     Their rate is that of the planet plus the transport rate (v_e / (N + h), -v_n / (M + h), -v_e tan(latitude) / (N +
     h)), with M and N the radii of `Ellipsoid.radii`. At the poles, which have no north direction, it is NaN.

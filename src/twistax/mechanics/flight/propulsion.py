@@ -1,4 +1,4 @@
-"""Engines, and the effect of burning propellant besides thrust.
+"""Engines, and the effects of burning propellant in addition to thrust.
 
 Six-vectors are [f; tau] at the body's origin in its axes.
 """
@@ -22,7 +22,7 @@ from ..bodies import SpatialInertia
 
 __all__ = ["Engine", "burning", "rocket"]
 
-#: Standard gravity, m/s2, by which specific impulses are in s.
+#: Standard gravity, m/s2, which relates a specific impulse in s to an exhaust velocity.
 STANDARD_GRAVITY = 9.80665
 
 
@@ -35,8 +35,9 @@ class Engine:
         thrust: (), N.
         mass_flow: the flow out of the body, (), kg/s, positive.
         position: the point of the thrust and of the exhaust, (3,), m.
-        direction: of the thrust, (3,), of length 1; an expression if it is gimballed.
-    Raises: ShapeError, ModelError for values that are not numbers or expressions.
+        direction: direction of the thrust, (3,), of length 1; an expression if the engine is gimballed.
+    Raises: ShapeError for values of the wrong shape; ModelError for values that are not numbers or expressions, or a
+    direction of another length.
     """
 
     thrust: ExprLike
@@ -61,7 +62,7 @@ class Engine:
 
     @property
     def wrench(self) -> Expr:
-        """$[f; p x f]$ (6,) of the thrust f."""
+        """The wrench $[f; p x f]$ (6,) of the thrust f."""
         force = self.thrust * of_shape("Engine", "direction", self.direction, (3,))
         return known_as(wrench(force=force, torque=Cross(self.position, force)), Wrench())
 
@@ -76,16 +77,16 @@ def rocket(
     position: ExprLike = (0.0, 0.0, 0.0),
     direction: ExprLike = (1.0, 0.0, 0.0),
 ) -> Engine:
-    """A rocket engine: its thrust is $s T - p A$, its mass flow $s T / (g_0 I)$, s the throttle.
+    """A rocket engine with throttle s: its thrust is $s T - p A$, its mass flow $s T / (g_0 I)$.
 
     Args:
         throttle: (), 0 to 1; at 0 the pressure term remains, so switch off an engine by `tx.Where`.
-        pressure: p of the air, (), Pa.
+        pressure: pressure p of the ambient air, (), Pa.
         vacuum_thrust: T, N.
         specific_impulse: I in vacuum, s.
         exit_area: A, m2.
-        position, direction: as of `Engine`.
-    Raises: ShapeError, ModelError.
+        position, direction: as for `Engine`.
+    Raises: ShapeError, ModelError for invalid values.
     """
     same_unit("rocket: exit_area", exit_area, metres**2)
     for name, value, unit in (
@@ -101,28 +102,28 @@ def rocket(
 
 
 def burning(V: ExprLike, flow: ExprLike, kilogram: SpatialInertia, outlet: ExprLike) -> Expr:
-    """The wrench (6,) of mass that leaves a body, besides the thrust: Coriolis force and jet damping.
+    """The wrench (6,) of mass that leaves a body, in addition to the thrust: Coriolis force and jet damping.
 
-    With w the body's rate, f the mass flow, c and J the centre and the inertia about the origin of one kilogram of the
-    leaving mass, and r the outlet,
+    Let w be the body's rate, f the mass flow, c and J the centre and the inertia about the origin of one kilogram of
+    the leaving mass, and r the outlet. Then
 
         $force = -2 f w x (r - c), moment = f (J w - r x (w x r) - w x (c x r))$
 
-    With this wrench $M V' = F - ad*_V(M V)$, F the sum of all wrenches and M the instantaneous inertia, is the balance
-    of momentum of a body with a steady flow along a line from c to r. The effect of an unsteady flow, f' (r - c) and
-    $f' (c x r)$, is omitted. Along an axis of symmetry, about the centre of mass, the moment is $-(I' + f l^2) w$, the
-    jet damping of textbooks.
+    With this wrench $M V' = F - ad*_V(M V)$, where F is the sum of all wrenches and M the instantaneous inertia, is the
+    momentum balance of a body with a steady flow along a line from c to r. The effect of an unsteady flow, f' (r - c)
+    and $f' (c x r)$, is omitted. About the centre of mass and along an axis of symmetry, the moment is $-(I' + f l^2)
+    w$, which is known as jet damping.
 
     Args:
-        V: the body's twist (6,).
-        flow: f, kg/s, positive out.
+        V: the twist of the body (6,).
+        flow: mass flow f out of the body, kg/s, positive.
         kilogram: the derivative of the body's inertia with respect to its mass. For a tank that empties uniformly: a
             body of 1 kg at its centre with its inertia per mass. For a tank with a falling level: the layer at the
             surface.
         outlet: r (3,), m, such as the engine's position.
     Raises: ShapeError.
-    Source: the balance of momentum over the body's volume; Cornelisse, Schoyer and Wakker, Rocket
-    Propulsion and Spaceflight Dynamics (1979), chapter 4, has the terms.
+    Source: the momentum balance over the body's volume; the terms are in Cornelisse, Schoyer and Wakker, Rocket
+    Propulsion and Spaceflight Dynamics (1979), chapter 4.
     """
     w = angular(of_shape("burning", "V", V, (6,)))
     f, r = of_shape("burning", "flow", flow, ()), of_shape("burning", "outlet", outlet, (3,))

@@ -1,4 +1,4 @@
-"""Measurements of instruments in a vehicle. Biases may be numbers, Parameters, or states that noise drives."""
+"""Measurements of instruments in a vehicle. Biases may be numbers, Parameters, or states that are driven by noise."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ class Imu:
     """An inertial measurement unit: three accelerometers and three gyroscopes at one point of a body.
 
     Attributes:
-        position: (3,) in body axes, m.
+        position: position (3,) in body axes, m.
         mounting: the rotation (3, 3) from the sensor's axes to body axes.
         accelerometer_bias: (3,), m/s2, and gyro_bias: (3,), rad/s, in the sensor's axes.
-    Raises: ShapeError, ModelError for values that are not numbers or expressions.
+    Raises: ShapeError for values of the wrong shape; ModelError for values that are not numbers or expressions.
     """
 
     position: ExprLike = (0.0, 0.0, 0.0)
@@ -55,8 +55,8 @@ class Imu:
         check_element("Imu", "mounting", of_shape("Imu", "mounting", self.mounting, (3, 3)))
 
     def read(self, V: ExprLike, acceleration: ExprLike, gravitation: ExprLike) -> ImuReading:
-        """The specific force $v' + w x v + w' x r + w x (w x r) - a_g$ and the rate w, in the sensor's axes, with
-        biases.
+        """The specific force $v' + w x v + w' x r + w x (w x r) - a_g$ and the rate w, both in the sensor's axes and
+        with biases.
         """
         twist, rate = of_shape("Imu", "V", V, (6,)), of_shape("Imu", "acceleration", acceleration, (6,))
         pull = of_shape("Imu", "gravitation", gravitation, (3,))
@@ -68,8 +68,8 @@ class Imu:
 
 
 def probe(air: AirData, position: ExprLike) -> AirData:
-    """The air data at a position (3,), m, in the body, such as vanes on a boom: the rate of the body adds $w x r$ to
-    the velocity.
+    """The air data at a position (3,), m, in the body, such as vanes on a boom: the angular rate w of the body adds $w
+    x r$ to the velocity.
 
     Raises: ShapeError.
     """

@@ -41,7 +41,7 @@ def numbers(expression: ExprLike, values: Mapping[Leaf, Any] | None = None) -> n
     `numbers(EARTH.local_pose(0.6, 0.1, 9e3))` is a pose as an array.
 
     Args:
-        values: of the leaves it depends on: states, controls, parameters, the time.
+        values: values of the leaves that it depends on: states, controls, parameters and time.
     Raises: ModelError if a leaf has no value, or the result is not finite.
     """
     for leaf in values or {}:
@@ -52,13 +52,15 @@ def numbers(expression: ExprLike, values: Mapping[Leaf, Any] | None = None) -> n
 
 
 def _folded(*expressions: Expr) -> list[np.ndarray]:
-    """The numbers that expressions of numbers amount to, what they share computed once. Raises ModelError."""
+    """The numbers that expressions of numbers evaluate to; common subexpressions are computed once. Raises ModelError
+    if a leaf has no value.
+    """
     folded = canonicalize_all(expressions)
     for expr in folded:
         if not isinstance(expr, Constant):
             raise ModelError(
-                f"numbers expects an expression with finite numbers at the values given, got {short(expr)}.\n"
-                "  fix: give a value for each of its states, controls and parameters"
+                f"numbers expects an expression with finite numbers at these values, got {short(expr)}.\n"
+                "  fix: pass a value for each of its states, controls and parameters"
             )
     return [np.array(expr.value, float) for expr in folded if isinstance(expr, Constant)]
 
@@ -80,27 +82,28 @@ def start(
     """The state of a vehicle from geodetic position, velocity over the ground and attitude: its pose in inertial axes
     and its body twist relative to them, in double precision.
 
-    Numbers have a unit of `tx.units`, or are in m, s and rad. Values may be traced, for example in a Monte Carlo
-    simulation over initial states. The state is then traced too, in JAX's precision; angles are not checked, and a rate
+    Numbers have a unit of `tx.units`, or are in m, s and rad. Values may be traced by JAX, for example in a Monte Carlo
+    simulation over initial states. Then the state is traced too, in JAX's precision; angles are not checked, and a rate
     relative to undefined axes is NaN.
 
-    At a pole north-east-down axes are those of the meridian of `longitude`. Their rate is infinite there, so
-    a rate relative to `local_axes` is not defined.
+    At a pole, north-east-down axes are those of the meridian of `longitude`. Their rate is infinite there, so an
+    angular rate relative to `local_axes` is not defined.
 
     Args:
-        latitude, longitude: geodetic.
-        altitude: above the ellipsoid.
-        ned_velocity: relative to the rotating planet, north, east and down.
-        euler: roll, pitch and yaw of the body relative to north-east-down: rotations about z, y and x in this order.
-        rate: about body axes.
-        relative_to: the axes to which the rate is relative: `fixed_axes` (zero for a body at rest on the planet),
-            `local_axes` (zero in steady flight), or `inertial_axes`.
+        latitude, longitude: geodetic coordinates.
+        altitude: height above the ellipsoid.
+        ned_velocity: velocity relative to the rotating planet, in north, east and down components.
+        euler: roll, pitch and yaw of the body relative to north-east-down: rotations about z, y and x, in this order:
+            yaw, pitch, roll.
+        rate: angular rate in body axes.
+        relative_to: the reference axes of `rate`: `fixed_axes` (zero for a body at rest on the planet), `local_axes`
+            (zero in steady flight), or `inertial_axes`.
         planet: the planet.
         t: the time, which determines the rotation of the planet.
         pose, twist: names of the states.
     Raises:
-        InputError: another unit, shape or type; a latitude beyond a pole; an angle of more than a turn; axes of
-            `relative_to` without a finite rate at this place, such as local ones at a pole.
+        InputError: a value with another unit, shape or type; a latitude beyond a pole; an angle of more than a turn;
+            reference axes without a finite rate at this position, such as local axes at a pole.
     """
     of_kind("start", "planet", planet, Planet)
     callable_with("start: relative_to", relative_to, REFERENCE_TAKES, ModelError)
@@ -134,14 +137,14 @@ def start(
 
 
 def _need_rate(relative_to: Reference, spin: ExprLike, latitude: Any) -> None:
-    """Raise InputError for axes without a finite rate."""
+    """Raise InputError for reference axes without a finite rate."""
     if isinstance(to_expr(spin).canonicalize(), Constant):
         return
     name = getattr(relative_to, "__name__", relative_to)
     raise InputError(
-        f"start: relative_to={name} expects axes that turn at a finite rate; at a latitude of "
-        f"{float(latitude)!r} rad these have none: at a pole there is no north.\n"
-        "  fix: give the rate relative to flight.fixed_axes or flight.inertial_axes, or start off the pole"
+        f"start: relative_to={name} expects axes that turn at a finite rate; at a latitude of {float(latitude)!r} rad "
+        "these have none: at a pole there is no north.\n"
+        "  fix: pass the rate relative to flight.fixed_axes or flight.inertial_axes, or start away from the pole"
     )
 
 
@@ -165,6 +168,6 @@ def _angle(name: str, value: Any, turns: float, shape: tuple[int, ...] = ()) -> 
             place = f"{name}[{i}]" if shape else name
             raise InputError(
                 f"start: {place} expects an angle within {turns:g} of a turn, got {float(angle)!r} rad.\n"
-                f"  fix: degrees are {angle:g} * tx.units.degrees"
+                f"  fix: write degrees as {angle:g} * tx.units.degrees"
             )
     return angles

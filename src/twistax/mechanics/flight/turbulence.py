@@ -1,8 +1,8 @@
-"""Dryden turbulence: white noise through filters whose states are integrated with the vehicle's.
+"""Dryden turbulence: filtered white noise, with filter states that are integrated with those of the vehicle.
 
-Source of spectra, scales and intensities: MIL-F-8785C, Flying Qualities of Piloted Airplanes (1980), section 3.7. Its
-filters are written here for noise of unit intensity, E[n(t) n(s)] = delta(t - s). Noise that is held for dt s is
-standard normal numbers over sqrt(dt).
+Source of spectra, scales and intensities: MIL-F-8785C, Flying Qualities of Piloted Airplanes (1980), section 3.7. The
+filters here are for noise of unit intensity, E[n(t) n(s)] = delta(t - s). To hold noise constant over dt seconds, use
+standard normal numbers divided by sqrt(dt).
 """
 
 from __future__ import annotations
@@ -19,12 +19,15 @@ from ...units import feet, metres, seconds, taken
 
 __all__ = ["Dryden", "Gust", "even_turbulence", "low_altitude_turbulence"]
 
-#: Lengths (L_u, L_v, L_w) in m and intensities (sigma_u, sigma_v, sigma_w) in m/s at a height above the ground in m.
+#: Lengths (L_u, L_v, L_w) in m and intensities (sigma_u, sigma_v, sigma_w) in m/s, as functions of the height above the
+#: ground in m.
 Scales: TypeAlias = Callable[[Expr], tuple[tuple[Any, Any, Any], tuple[Any, Any, Any]]]
 
 
 class Gust(NamedTuple):
-    """The air velocity, m/s, and air rate, rad/s, of turbulence in body axes, and the state_rate of its filters."""
+    """The velocity, m/s, and the angular rate, rad/s, of the air due to turbulence, in body axes; and the `state_rate`
+    of the filters.
+    """
 
     velocity: Expr
     rate: Expr
@@ -32,12 +35,12 @@ class Gust(NamedTuple):
 
 
 def even_turbulence(lengths: Any, intensities: Any) -> Scales:
-    """Turbulence scales that are constant over height, as above 2000 ft: $L_u = L_v = L_w = 1750$ ft.
+    """Turbulence scales that do not depend on height, as specified above 2000 ft: $L_u = L_v = L_w = 1750$ ft.
 
     Args:
-        lengths: (L_u, L_v, L_w), m, positive.
+        lengths: scale lengths (L_u, L_v, L_w), m, positive.
         intensities: (sigma_u, sigma_v, sigma_w), m/s.
-    Raises: InputError for other units or shapes; ModelError for a length that is not positive.
+    Raises: InputError for a wrong unit or shape; ModelError for a length that is not positive.
     """
     L = tuple(taken("even_turbulence: lengths", lengths, metres, (3,)).tolist())
     if not min(L) > 0.0:
@@ -47,14 +50,15 @@ def even_turbulence(lengths: Any, intensities: Any) -> Scales:
 
 
 def low_altitude_turbulence(wind: Any) -> Scales:
-    """Turbulence scales between 10 and 1000 ft over the ground, from the wind at 20 ft, constant below and above.
+    """Turbulence scales between 10 and 1000 ft above the ground, as functions of the wind at 20 ft; constant below and
+    above.
 
     With h in ft: $L_w = h$, $L_u = L_v = h / (0.177 + 0.000823 h)^(1.2)$, $sigma_w = 0.1 u_20$ and
     $sigma_u = sigma_v = sigma_w / (0.177 + 0.000823 h)^(0.4)$.
 
     Args:
-        wind: u_20, m/s.
-    Raises: InputError for another unit.
+        wind: wind speed u_20 at 20 ft, m/s.
+    Raises: InputError for a value of another unit.
     """
     sigma = 0.1 * float(taken("low_altitude_turbulence: wind", wind, metres / seconds))
 
@@ -69,17 +73,17 @@ def low_altitude_turbulence(wind: Any) -> Scales:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Dryden:
-    """Dryden turbulence: gusts in body axes, as a frozen pattern that the vehicle flies through.
+    """Dryden turbulence: gusts in body axes, as a frozen pattern through which the vehicle flies.
 
     White noise passes through filters. The filter state (8,) starts at zero; the noise is a control (4,). The rates of
     the air follow from the gradients of its velocity: $q = -dw/dx$ and $r = dv/dx$, filtered by the span.
 
     Attributes:
         scales: `low_altitude_turbulence(...)`, `even_turbulence(...)`, or a function of the height.
-        span: b, m.
+        span: wing span b, m.
         ground: altitude of the ground, m.
-        name: of the state; the control has a name derived from it.
-    Raises: InputError for other units; ModelError for a span that is not positive.
+        name: name of the state; the name of the control is derived from it.
+    Raises: InputError for a wrong unit; ModelError for a span that is not positive.
     """
 
     scales: Scales
@@ -109,7 +113,7 @@ class Dryden:
 
         Args:
             altitude: (), m.
-            airspeed: V without the gust, (), m/s; above zero.
+            airspeed: airspeed V without the gust, (), m/s; positive.
         """
         x, n = self.state, self.noise
         lengths, (sigma_u, sigma_v, sigma_w) = self.scales(altitude - self.ground)

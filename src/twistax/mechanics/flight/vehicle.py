@@ -30,7 +30,7 @@ from .wind import CALM, Wind
 
 __all__ = ["Vehicle"]
 
-#: The names of frames, for leaves that declare theirs: inertial and planet-fixed axes; north, east, down; the body.
+#: Names of frames for leaves with declared kinds: inertial axes; planet-fixed axes; north, east, down; body axes.
 INERTIAL, FIXED, LOCAL, BODY = "inertial", "fixed", "ned", "body"
 _SPEED, _RATE = METRE / SECOND, ONE / SECOND
 
@@ -38,17 +38,18 @@ _SPEED, _RATE = METRE / SECOND, ONE / SECOND
 class Vehicle:
     """A rigid body in flight over a planet. Its states are the pose g in inertial axes and the body twist V.
 
-    The properties are expressions that are built at first access, so unused ones cost nothing. Angles are in
-    rad. The longitude of `place` is the geographic one.
+    The properties are expressions that are built when first read, so unused ones have no cost. Angles are in rad. The
+    longitude of `place` is the geographic one.
 
     On the axis of the planet there is no north direction: `attitude`, `euler`, `ned_velocity` and a wind are NaN there,
-    and so is `rate(local_axes)` at a pole.
+    and at a pole also `rate(local_axes)`.
 
-    In a system with declared kinds (`tx.kinds`) its frames are "inertial", "fixed" to the planet, "ned" and "body".
+    In a system with declared kinds (`tx.kinds`), its frames are named "inertial", "fixed" (to the planet), "ned" and
+    "body".
 
     Args:
-        planet: figure, rotation, gravity and air.
-        wind: velocity of the air over the planet, a function of (place, t).
+        planet: ellipsoid, rotation, gravity and atmosphere.
+        wind: velocity of the air relative to the planet, as a function of (place, t).
         turbulence: gusts in addition to the wind; their state and noise become part of `system`.
         pose, twist: names of the states.
     Raises:
@@ -68,7 +69,7 @@ class Vehicle:
         if not callable(wind):
             raise ModelError(
                 f"Vehicle expects wind to be a function of (place, t), got {wind!r}.\n"
-                "  fix: flight.Steady((north, east, down)) is the same wind everywhere"
+                "  fix: for a constant wind use flight.Steady((north, east, down))"
             )
         callable_with("Vehicle: wind", wind, ("place", "t"), ModelError)
         if turbulence is not None:
@@ -82,7 +83,7 @@ class Vehicle:
 
     @property
     def position(self) -> Expr:
-        """(3,) in inertial axes, m."""
+        """The position (3,) in inertial axes, m."""
         return self.pose[:3, 3]
 
     @cached_property
@@ -92,7 +93,7 @@ class Vehicle:
 
     @cached_property
     def fixed_position(self) -> Expr:
-        """(3,) in planet-fixed axes, m."""
+        """The position (3,) in planet-fixed axes, m."""
         return known_as(self._turn.T @ self.position, kinds.Point(FIXED))
 
     @cached_property
@@ -109,12 +110,12 @@ class Vehicle:
 
     @cached_property
     def euler(self) -> Expr:
-        """Roll, pitch and yaw (3,) of the attitude, rad. At a pitch of +-90 degrees roll is 0."""
+        """Roll, pitch and yaw (3,) of the attitude, rad. If the pitch is +-90 degrees, roll is set to 0."""
         return EulerAngles(self.attitude)
 
     @cached_property
     def ned_velocity(self) -> Expr:
-        """(3,) relative to the planet, north-east-down, m/s."""
+        """The velocity (3,) relative to the planet, in north-east-down axes, m/s."""
         return known_as(self._local.T @ self._ground_velocity, kinds.FreeVector(LOCAL), _SPEED)
 
     def rate(self, relative_to: Reference = inertial_axes) -> Expr:
@@ -140,12 +141,12 @@ class Vehicle:
 
     @cached_property
     def gravitation(self) -> Expr:
-        """Acceleration by gravity at the body's origin, (3,) in inertial axes, m/s2."""
+        """Gravitational acceleration at the body's origin, (3,) in inertial axes, m/s2."""
         pull = self.planet.gravitation(self.position, self.time)
         return known_as(pull, kinds.FreeVector(INERTIAL), _SPEED / SECOND)
 
     def gradient_torque(self, body: SpatialInertia) -> Expr:
-        """The gravity gradient's moment on a body about its centre of mass, (3,) in body axes, N m."""
+        """The gravity-gradient torque on a body about its centre of mass, (3,) in body axes, N m."""
         of_kind("Vehicle", "body", body, SpatialInertia)
         at_center = self.pose[:3, :3].T @ self.position + body.center_of_mass
         return gradient_torque(self.planet.gravity.gm, at_center, body.inertia)
@@ -153,12 +154,12 @@ class Vehicle:
     # ---- a system ------------------------------------------------------------------------------------------------
 
     def acceleration(self, body: SpatialInertia, wrench: ExprLike = (0.0,) * 6) -> Expr:
-        """V' (6,) of a body under gravity and a wrench.
+        """The rate V' (6,) of the twist of a body under gravity and a wrench.
 
         Args:
-            body: mass, centre of mass and inertia in body axes, instantaneous values. The effect of masses that move
-                in it is included; the effect of mass that leaves it belongs to wrench, see `SpatialInertia`.
-            wrench: [f; tau] (6,) of all forces but gravity, at the body's origin in its axes.
+            body: instantaneous mass, centre of mass and inertia in body axes. The effect of masses that move in the
+                body is included. The effect of mass that leaves the body belongs to `wrench`, see `SpatialInertia`.
+            wrench: [f; tau] (6,) of all forces except gravity, at the body's origin in its axes.
         Raises:
             ModelError: body is not a SpatialInertia.
             ShapeError: wrench is not of shape (6,).
@@ -180,11 +181,11 @@ class Vehicle:
         """The system of the body's motion under gravity and a wrench, and of the turbulence.
 
         Args:
-            body, wrench: as of `acceleration`.
-            rates: of further states; if the body depends on them, its masses move at these rates.
-            outputs: in addition to those of `outputs()`.
+            body, wrench: as for `acceleration`.
+            rates: rates of additional states; masses of the body that depend on these states move at these rates.
+            outputs: additional outputs, besides those of the method `outputs`.
             more: further arguments of `System`.
-        Raises: ModelError, ShapeError, as `acceleration`; ModelError for a rate of the vehicle's own states, or an
+        Raises: ModelError, ShapeError, as for `acceleration`; ModelError for a rate of the vehicle's own states, or an
             output whose name is in use.
         """
         of_kind("Vehicle", "body", body, SpatialInertia)
@@ -198,14 +199,15 @@ class Vehicle:
         motion_states = [name for name in (getattr(state, "name", state) for state in motion) if name in named]
         if motion_states:
             raise ModelError(
-                f"Vehicle.system expects rates of further states, got {listed(motion_states)}: they have rates.\n"
-                "  fix: add forces and torques to wrench, or write a System of vehicle.acceleration(body, wrench)"
+                f"Vehicle.system expects rates of additional states, got {listed(motion_states)}, whose "
+                "rates the vehicle determines.\n  fix: add forces and torques to wrench, or write a "
+                "System of vehicle.acceleration(body, wrench)"
             )
         ready = self.outputs()
         twice = [name for name in outputs or {} if name in ready]
         if twice:
             raise ModelError(
-                f"Vehicle.system expects further outputs, got {listed(twice)}, which a flight has already.\n"
+                f"Vehicle.system expects additional outputs, got {listed(twice)}, which are outputs of every vehicle.\n"
                 "  fix: give it another name, or write a System of vehicle.acceleration(body, wrench)"
             )
         return System({**motion, **(rates or {})}, {**ready, **(outputs or {})}, **more)
@@ -214,8 +216,8 @@ class Vehicle:
         """The standard outputs for comparisons of flights.
 
         position, velocity (inertial), fixed_position (3,); latitude, longitude, altitude (); ned_velocity (3,);
-        attitude (3, 3), body to north-east-down; euler (3,), roll, pitch and yaw of it; rate (3,), inertial; airspeed,
-        density ().
+        attitude (3, 3), from body to north-east-down; euler (3,), its roll, pitch and yaw; rate (3,), relative to
+        inertial axes; airspeed, density ().
         """
         return {
             "position": self.position,
@@ -251,7 +253,9 @@ class Vehicle:
 
     @cached_property
     def _local(self) -> Expr:
-        """The rotation from north-east-down to inertial axes; NaN on the axis of the planet, which has no north."""
+        """The rotation from north-east-down to inertial axes; NaN on the axis of the planet, which has no north
+        direction.
+        """
         off_axis = Where(Norm(self.position[:2]) > 0.0, 1.0, np.nan)
         axes = north_east_down(self._over.latitude, self._over.longitude * off_axis)
         return known_as(axes, kinds.Rotation(INERTIAL, LOCAL))

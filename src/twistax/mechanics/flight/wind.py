@@ -1,6 +1,6 @@
-"""Winds: velocity of the air relative to the planet, north-east-down in m/s, as a function of place and time.
+"""Winds: velocity of the air relative to the planet, in north-east-down axes in m/s, as a function of place and time.
 
-Any function of (place, t) that returns three expressions is a wind; those here check their numbers.
+Any function of (place, t) that returns three expressions is a wind. The winds defined here also check their numbers.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ..environment.earth import Geodetic
 
 __all__ = ["CALM", "LogarithmicShear", "Profile", "Steady", "Wind"]
 
-#: Velocity (3,) of the air relative to the planet, north-east-down, m/s, at a place and a time in s.
+#: The velocity (3,) of the air relative to the planet, in north-east-down axes, m/s, at a place and a time in s.
 Wind: TypeAlias = Callable[[Geodetic, Expr], Any]
 
 _SPEED = metres / seconds
@@ -29,10 +29,10 @@ _TWENTY_FEET = float(20.0 * feet)
 
 @dataclasses.dataclass(frozen=True)
 class Steady:
-    """The same wind everywhere.
+    """A wind that is the same everywhere.
 
     Attributes:
-        velocity: north-east-down, m/s. A wind from the west has a positive second entry.
+        velocity: in north-east-down axes, m/s. A wind from the west has a positive second entry.
     Raises: InputError for a value that is not a velocity.
     """
 
@@ -51,12 +51,12 @@ CALM = Steady((0.0, 0.0, 0.0))
 
 @dataclasses.dataclass(frozen=True)
 class Profile:
-    """A wind by altitude: linear between the altitudes of a table, constant below and above.
+    """A wind that depends on altitude: linear between the altitudes of a table, constant below and above.
 
     Attributes:
-        altitudes: increasing, m.
-        velocities: (n, 3) of the air, north-east-down at these altitudes, m/s.
-    Raises: InputError for other units or shapes; ModelError where altitudes do not increase.
+        altitudes: increasing altitudes, m.
+        velocities: (n, 3) velocities of the air at these altitudes, in north-east-down axes, m/s.
+    Raises: InputError for a wrong unit or shape; ModelError if altitudes do not increase.
     """
 
     altitudes: Any
@@ -65,7 +65,7 @@ class Profile:
     def __post_init__(self) -> None:
         for name in ("altitudes", "velocities"):
             if not isinstance(getattr(self, name), (list, tuple, np.ndarray)):
-                raise ModelError(f"Profile expects {name} to be a list of them, got {short(getattr(self, name))}")
+                raise ModelError(f"Profile expects {name} to be a list, got {short(getattr(self, name))}")
         n = len(self.altitudes)
         altitudes = taken("Profile: altitudes", self.altitudes, metres, (n,))
         rows = [taken(f"Profile: velocities[{i}]", row, _SPEED, (3,)) for i, row in enumerate(self.velocities)]
@@ -85,14 +85,14 @@ class Profile:
 class LogarithmicShear:
     """The logarithmic wind profile near the ground: $u(h) = u_20 ln(h / z_0) / ln(h_20 / z_0)$, zero below z_0.
 
-    h_20 is 20 ft. The direction is the same at all heights.
+    h_20 is 20 ft. The direction does not depend on height.
 
     Attributes:
-        speed: u_20, 20 ft above the ground, m/s.
-        towards: the direction the wind blows to, clockwise from north, rad.
-        roughness: z_0, m: 0.15 ft in terminal flight, 2 ft elsewhere.
+        speed: wind speed u_20 at 20 ft above the ground, m/s.
+        towards: the direction to which the wind blows, clockwise from north, rad.
+        roughness: roughness length z_0, m: 0.15 ft in terminal flight phases, 2 ft in others.
         ground: altitude of the ground, m.
-    Raises: InputError for other units; ModelError where the roughness is not between 0 and 20 ft.
+    Raises: InputError for a wrong unit; ModelError if the roughness is not between 0 and 20 ft.
     Source: MIL-F-8785C, Flying Qualities of Piloted Airplanes (1980), section 3.7.3.3, wind shear.
     """
 

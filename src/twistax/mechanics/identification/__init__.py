@@ -1,1 +1,3 @@
-"""Identification of inertial parameters: regressors, what is identifiable, and inertias that are always physical."""
+"""Identification of inertial parameters: regressors, identifiable combinations, and parametrisations of physical
+inertias.
+"""

@@ -1,4 +1,4 @@
-"""Which combinations of parameters motions determine: the base parameters, by the rank of a stacked regressor."""
+"""Base parameters: the combinations of parameters that motions determine, by the rank of a stacked regressor."""
 
 from __future__ import annotations
 
@@ -20,13 +20,14 @@ from .stacked_regressor import StackedRegressor
 
 @dataclasses.dataclass(frozen=True)
 class BaseParameters:
-    """The combinations of parameters that a regressor determines, $beta = C theta$. Made by `base_parameters` and
-    `identifiable_combinations`.
+    """The combinations of parameters that a regressor determines, $beta = C theta$. Made by
+    `base_parameters` and `identifiable_combinations`.
 
     Attributes:
-        names: of the combinations, such as "link1.Izz + link2.Iyy".
-        combinations: C (r, p), in units of the parameters; r is the rank. Its columns `columns` are the identity.
-        columns: the numbers of r independent columns of the regressor: $Y theta = Y[:, columns] beta$.
+        names: names of the combinations, such as "link1.Izz + link2.Iyy".
+        combinations: C (r, p), in the units of the parameters; r is the rank. Its columns `columns` form the identity
+            matrix.
+        columns: indices of r independent columns of the regressor: $Y theta = Y[:, columns] beta$.
         without_effect: names of parameters that no force depends on.
     """
 
@@ -44,17 +45,17 @@ class BaseParameters:
 def identifiable_combinations(W: Any, names: Sequence[str], tolerance: float = 1e-8) -> BaseParameters:
     """The combinations of parameters that measurements with the stacked regressor W (N, p) determine.
 
-    The columns are taken in order. A column depends on the previous ones if its distance from their span is below
-    `tolerance` times its length: $W_d = W_b K$, and with it $beta = theta_b + K theta_d$, in the units of the
-    parameters.
+    Columns are processed in order. A column depends on the previous ones if its distance from their span is below
+    `tolerance` times its length. Then $W_d = W_b K$ for dependent columns d and independent columns b, and $beta =
+    theta_b + K theta_d$, in the units of the parameters.
 
     Source: M. Gautier, Numerical Calculation of the Base Inertial Parameters of Robots, J. of Robotic Systems 8 (1991).
 
     Args:
-        W: regressors of all samples, one under the other, of real motions or random ones.
-        names: of the p parameters.
-        tolerance: (), between 0 and 1; that of measured motions is as large as their noise.
-    Raises: ModelError for another shape, or entries that are not finite.
+        W: stacked regressors of all samples, from real motions or random ones.
+        names: names of the p parameters.
+        tolerance: (), between 0 and 1; for measured motions, choose it as large as their noise.
+    Raises: ModelError for a W of another shape, or entries that are not finite.
     """
     owner = "identifiable_combinations"
     names = name_list(f"{owner}: names", names, ModelError)
@@ -85,7 +86,7 @@ def identifiable_combinations(W: Any, names: Sequence[str], tolerance: float = 1
 
 
 def sum_of(row: NDArray[np.float64], names: Sequence[str]) -> str:
-    """A combination as text."""
+    """The text of a combination."""
     words = list[str]()
     for coefficient, name in zip(row, names, strict=True):
         if coefficient:
@@ -108,10 +109,11 @@ def base_parameters(
 
     Args:
         mechanism: a tree or a chain, with numbers, or Parameters with default values, for axes and mounts.
-        drives: as of `inverse_dynamics_regressor`.
-        samples: the number of random states, at least one; three times as many equations as parameters by default.
-        seed: of the states.
-    Raises: ModelError as `inverse_dynamics_regressor` does.
+        drives: as in `inverse_dynamics_regressor`.
+        samples: the number of random states, at least one; by default there are three times as many equations as
+            parameters.
+        seed: seed of the random states.
+    Raises: ModelError as for `inverse_dynamics_regressor`.
 
     Example:
         `base_parameters(tx.mechanics.chain_models.panda()).rank` is 43.

@@ -1,4 +1,6 @@
-"""Weighted least squares where the data may say nothing of some directions: what they determine, and how well."""
+"""Weighted least squares for data that may not determine all directions: the determined combinations and their
+covariance.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-#: Singular values below this part of the largest one are rounding.
+#: Singular values below this fraction of the largest one are round-off.
 _ROUNDING = 1e-10
-#: Coefficients below this are rounding.
+#: Coefficients below this value are round-off.
 ZERO = 1e-7
 
 
@@ -19,12 +21,12 @@ class LeastSquaresSolution:
     """The least squares solution of $A x = y$ with noise of unit variance.
 
     Attributes:
-        combinations: D (r, b): the data determine D x. Its columns `pivots` are the identity.
-        values: of D x, (r,).
-        covariance: of the values, (r, r).
-        pivots: for each combination a column that has it alone.
-        left: the columns that no combination begins with: with any values of these, D x fits as well.
-        residuals: $y - A x$, (N,), of the shortest x.
+        combinations: D (r, b): the data determine D x. Its columns `pivots` form the identity matrix.
+        values: the values of D x, (r,).
+        covariance: the covariance of the values, (r, r).
+        pivots: for each combination, the index of a column that only this combination contains.
+        left: the other columns: for any values of these unknowns, some x fits the data with the same D x.
+        residuals: $y - A x$, (N,), for the x of minimum norm.
     """
 
     combinations: Array
@@ -38,16 +40,16 @@ class LeastSquaresSolution:
 def determined(A: Array, y: Array, tolerance: float) -> LeastSquaresSolution:
     """The solution of $A x = y$ in the directions whose standard deviation is at most the tolerance.
 
-    Unknowns that are determined one by one come out as they are. For the rest, with all others free, the information
-    is that of the lower right block R of a QR decomposition; its right singular vectors with a singular value of
-    1 / tolerance and more span what is determined of it. In reduced echelon form they are sums of few unknowns.
+    Unknowns that are determined individually are returned as they are. For the others, the information matrix is that
+    of the lower right block R of a QR decomposition; the right singular vectors of R with singular values of at least 1
+    / tolerance span the determined directions. Reduced echelon form makes them sums of few unknowns.
 
     Args:
-        A: (N, b), in units of the noise, with unknowns as parts of their sizes.
+        A: (N, b), in units of the noise, with unknowns as fractions of their sizes.
         y: (N,), in units of the noise.
         tolerance: ().
     """
-    from scipy.linalg import qr, solve_triangular  # not at import: it takes 50 ms
+    from scipy.linalg import qr, solve_triangular  # imported here because the import takes 50 ms
 
     b = A.shape[1]
     all_rows = np.vstack([np.column_stack([A, y]), np.zeros((max(b + 1 - len(A), 0), b + 1))])
@@ -60,7 +62,7 @@ def determined(A: Array, y: Array, tolerance: float) -> LeastSquaresSolution:
     seen = s > _ROUNDING * (np.abs(R).max(initial=0.0) + np.finfo(float).tiny)
     inverse = np.divide(1.0, s, out=np.zeros_like(s), where=seen)
     well = seen & (s * tolerance >= 1.0)
-    # Estimates are E c: of x[:p], and of the directions of the rest.
+    # Estimates are E c: of x[:p], and of the other directions.
     E = np.zeros((b, b))
     inverse_R = (Vt.T * inverse) @ U.T
     E[:p, :p] = solve_triangular(R[:p, :p], np.eye(p))
@@ -86,7 +88,7 @@ def determined(A: Array, y: Array, tolerance: float) -> LeastSquaresSolution:
 
 
 def _deviations(A: Array) -> Array:
-    """The standard deviation (b,) of each unknown while all others are free; infinite where it is not determined."""
+    """The standard deviation (b,) of each unknown if all others are unknown too; infinite if it is not determined."""
     _, s, Vt = np.linalg.svd(A, full_matrices=False)
     seen = s > _ROUNDING * s.max(initial=0.0)
     known = np.sqrt(np.sum((Vt[seen] / s[seen, None]) ** 2, axis=0))

@@ -1,4 +1,4 @@
-"""Periodic motions of joints as Fourier series: of numbers, and of expressions of time."""
+"""Periodic motions of joints as Fourier series: as numbers, and as expressions of time."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ...errors import InputError
 def fourier_motion(coefficients: Any, period: float, times: Any) -> dict[str, NDArray[Any]]:
     """Positions, velocities and accelerations of joints that follow Fourier series.
 
-    With coefficients $[c, a_1 .. a_N, b_1 .. b_N]$ of a joint and $w = 2 pi / period$, its position is
+    With the coefficients $[c, a_1 .. a_N, b_1 .. b_N]$ of a joint and $w = 2 pi / period$, its position is
 
         $q(t) = c + sum_k a_k sin(k w t) / (k w) - b_k cos(k w t) / (k w)$.
 
@@ -23,11 +23,11 @@ def fourier_motion(coefficients: Any, period: float, times: Any) -> dict[str, ND
     Identification, IEEE Transactions on Robotics and Automation 13 (1997), equation (3).
 
     Args:
-        coefficients: (n, 2 N + 1): rad or m, then rad/s or m/s.
-        period: s, positive.
+        coefficients: (n, 2 N + 1): the first in rad or m, the others in rad/s or m/s.
+        period: the period, s, positive.
         times: (count,), s.
-    Returns: "q", "qd" and "qdd", each (count, n): the records of `identify` but for the forces.
-    Raises: InputError for other shapes, or entries that are not finite.
+    Returns: "q", "qd" and "qdd", each (count, n): the records for `identify` except the forces.
+    Raises: InputError for arrays of the wrong shape, or entries that are not finite.
 
     Example: `fourier_motion(result.params["coefficients"], 10.0, np.arange(0.0, 10.0, 0.01))`
     """
@@ -50,13 +50,13 @@ def frequencies(period: float, harmonics: int) -> NDArray[np.float64]:
 
 
 def fourier_rows(w: Any, sine: Any, cosine: Any, one: Any, joined: Callable[..., Any]) -> tuple[Any, Any, Any]:
-    """What coefficients are multiplied by for the position, the velocity and the acceleration.
+    """The factors of the coefficients in the position, the velocity and the acceleration.
 
     Args:
-        w: of `frequencies`.
-        sine, cosine: of $w t$.
+        w: the result of `frequencies`.
+        sine, cosine: sine and cosine of $w t$.
         one: the constant function.
-        joined: puts parts of a row together.
+        joined: concatenates the parts of a row.
     """
     return (
         joined(one, sine / w, -cosine / w),

@@ -1,4 +1,4 @@
-"""The result of `identify`: what the data determine, to which accuracy, and what they do not."""
+"""The result of `identify`: estimates of the determined combinations with their accuracy, and the undetermined ones."""
 
 from __future__ import annotations
 
@@ -15,23 +15,24 @@ from ..mechanism import Mechanism
 from .base_parameters import sum_of
 
 Array = NDArray[np.float64]
-#: Probability at which residuals or a physical fit count as no noise.
+#: The probability below which residuals or a physical fit are not explained by noise.
 _UNLIKELY = 1e-4
-#: Residuals below this part of the noise are rounding, and have no correlation that says something.
+#: Residuals below this fraction of the noise are round-off, whose correlation has no meaning.
 _SMALL = 0.1
-#: How far, relative to its coefficients, a combination may be from what is determined.
+#: The largest distance, relative to its coefficients, of a combination from the determined ones.
 _EQUAL = 1e-6
 
 
 class IdentificationStatus(enum.Enum):
     """The status of an identification. If several apply, the last one in this list is returned:
 
-    - `IDENTIFIED`: the data determine all base parameters, and the residuals are like the noise.
-    - `UNDETERMINED`: the same, but the data leave base parameters open; `undetermined` names them.
-    - `UNPHYSICAL`: physical bodies and drives fit worse than noise explains.
+    - `IDENTIFIED`: the data determine all base parameters, and the residuals are consistent with the noise.
+    - `UNDETERMINED`: the residuals are consistent with the noise, but the data do not determine all base parameters;
+    `undetermined` names these.
+    - `UNPHYSICAL`: physical bodies and drives fit the data worse than noise explains.
     - `MISFIT`: residuals are larger than the noise, or correlated in time: the model is incomplete, and the covariance
       is too small.
-    - `UNFINISHED`: the physical fit ended before a minimum.
+    - `UNFINISHED`: the physical fit did not converge to a minimum.
     """
 
     IDENTIFIED = "identified"
@@ -47,19 +48,21 @@ class Identification:
 
     Attributes:
         status: see `IdentificationStatus`.
-        names: of the combinations that the data determine, such as "link1.Izz + link2.Iyy".
-        values: (r,), in the unit of the first parameter of each.
+        names: names of the r combinations that the data determine, such as "link1.Izz + link2.Iyy".
+        values: (r,) estimates, each in the unit of the first parameter of its combination.
         covariance: (r, r): the Cramer-Rao bound of the linear problem.
         combinations: C (r, p).
         parameters: names of the p unknown parameters.
-        undetermined: base parameters that the data leave open: the combinations above hold for any values of these.
+        undetermined: base parameters that the data do not determine: the combinations above hold for any values of
+            these.
         without_effect: parameters that no joint force depends on.
         noise: (n,), the standard deviation of the forces, N or N m.
         residuals: (samples, n), N or N m: measured less fitted forces.
-        misfit: the mean square of residuals in units of the noise, by degrees of freedom: 1 for a complete model.
-        correlation: (n,), of residuals with those of the sample before; 0 for white noise.
-        excess: how much the sum of squares of the physical fit exceeds that of the linear one, in units of the noise;
-            None without a physical fit.
+        misfit: the mean square of the residuals in units of the noise, per degree of freedom: about 1 for a complete
+            model.
+        correlation: (n,) correlation of the residuals with those of the previous sample; 0 for white noise.
+        excess: the sum of squares of the physical fit minus that of the linear one, in units of the noise; None without
+            a physical fit.
         mechanism: the mechanism with fitted bodies and drives; None without a physical fit.
     """
 
@@ -80,7 +83,7 @@ class Identification:
 
     @property
     def standard_deviations(self) -> Array:
-        """Of the values, (r,)."""
+        """The standard deviations of `values`, (r,)."""
         return np.sqrt(np.diag(self.covariance))
 
     def estimate(self, combination: str | Mapping[str, float]) -> tuple[float, float]:
@@ -89,7 +92,7 @@ class Identification:
         Args:
             combination: the name of a parameter or of a combination, or coefficients by parameter, such as
                 {"link1.Izz": 1.0, "link2.Iyy": 1.0}.
-        Raises: InputError for an unknown name, and for an undetermined combination.
+        Raises: InputError for an unknown name, or an undetermined combination.
         """
         wanted = np.zeros(len(self.parameters))
         if isinstance(combination, str) and combination in self.names:
@@ -97,7 +100,7 @@ class Identification:
             return float(self.values[k]), float(self.standard_deviations[k])
         parts = {combination: 1.0} if isinstance(combination, str) else combination
         if not isinstance(parts, Mapping) or not parts:
-            raise InputError(f"estimate expects a name, or coefficients by name, got {short(combination)}")
+            raise InputError(f"estimate expects a name, or a dict of coefficients by name, got {short(combination)}")
         for name, coefficient in parts.items():
             if name not in self.parameters:
                 raise InputError(f"estimate: there is no parameter {name!r}; there are {listed(self.parameters, name)}")
@@ -110,7 +113,7 @@ class Identification:
         if np.abs(weights @ C - wanted).max() > _EQUAL * np.abs(wanted).max():
             among = [name for name, row in zip(self.names, C, strict=True) if np.any(row[wanted != 0.0])]
             raise InputError(
-                f"estimate: the data do not determine {_sum(parts)}. They determine it within {listed(among)}"
+                f"estimate: the data do not determine {_sum(parts)}. They determine it only within {listed(among)}"
             )
         return float(weights @ self.values), float(np.sqrt(weights @ self.covariance @ weights))
 
@@ -130,7 +133,7 @@ def _sum(parts: Mapping[str, float]) -> str:
 
 
 def correlation(residuals: Array, noise: Array) -> Array:
-    """The correlation (n,) of residuals (samples, n) with those of the sample before; zero for rounding."""
+    """The correlation (n,) of residuals (samples, n) with those of the previous sample; zero if they are round-off."""
     power = np.sum(residuals**2, axis=0)
     small = power <= len(residuals) * (_SMALL * noise) ** 2
     return np.where(small, 0.0, np.sum(residuals[1:] * residuals[:-1], axis=0) / np.where(small, 1.0, power))
@@ -139,14 +142,14 @@ def correlation(residuals: Array, noise: Array) -> Array:
 def status_of(
     misfit: float, freedom: int, serial: Array, count: int, excess: float | None, rank: int, finished: bool, left: int
 ) -> IdentificationStatus:
-    """The word for a result.
+    """The status of an identification.
 
     Args:
-        misfit, freedom: the mean square of residuals in units of the noise, and its degrees of freedom.
-        serial, count: correlations from sample to sample, and how many samples there are.
-        excess, rank: of the physical fit, and the number of combinations.
-        finished: whether that fit ended at a minimum.
-        left: how many base parameters are left open.
+        misfit, freedom: the mean square of residuals in units of the noise, and the number of degrees of freedom.
+        serial, count: correlations between successive samples, and the number of samples.
+        excess, rank: the excess of the physical fit, and the number of combinations.
+        finished: whether the physical fit converged to a minimum.
+        left: the number of undetermined base parameters.
     """
     from scipy.stats import chi2, norm
 

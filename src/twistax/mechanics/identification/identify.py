@@ -1,4 +1,4 @@
-"""Identification: masses, inertias, friction and armature of a mechanism from records of its joints."""
+"""Identification of the masses, inertias, friction and armature of a mechanism from joint records."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from .regressor import DRIVE
 from .stacked_regressor import StackedRegressor
 
 Array = NDArray[np.float64]
-#: How often weights and residuals alternate where the noise is unknown, and the least noise as a part of the forces.
+#: The number of iterations of reweighting if the noise is unknown, and the smallest noise as a fraction of the forces.
 _PASSES, _LEAST_NOISE = 4, 1e-12
 
 
@@ -41,42 +41,45 @@ def identify(
 ) -> Identification:
     """Parameters of bodies and drives from measured motions and joint forces, by weighted least squares.
 
-    The motor forces are $tau = Y(q, qd, qdd) theta$ minus the spring forces, with noise. With $theta$ of known
-    links and drives taken from the mechanism, and the base parameters $beta = C theta$ of the unknown ones, it
-    minimises
+    The motor forces are $tau = Y(q, qd, qdd) theta$ minus the spring forces, plus noise. The parameters $theta$ of
+    known links and drives are those of the mechanism. With the base parameters $beta = C theta$ of the unknown ones,
+    the function minimises
 
-        $sum |(tau - Y_b beta) / sigma|^2$,  covariance $(Y_b^T Sigma^-1 Y_b)^-1$,
+        $sum |(tau - Y_b beta) / sigma|^2$, with the covariance $(Y_b^T Sigma^-1 Y_b)^-1$,
 
-    which is the Cramer-Rao bound where the noise of the forces is Gaussian, white and independent, and that of the
-    motion is negligible.
+    which is the Cramer-Rao bound if the noise of the forces is Gaussian, white and independent, and that of the motion
+    is negligible.
 
-    **What the data determine.** Unknowns are counted in parts of their sizes: kg, kg m and kg m2 of a mass `size[0]` at
-    a distance `size[1]`; an armature as an inertia, a friction as the weight's, a damping as the weight's at the speed
-    of a pendulum of this length. A direction of the parameters is determined if its standard deviation is at most
-    `tolerance` of that. The measure does not depend on units. The result has numbers for determined combinations only.
+    **Which parameters are determined.** Each unknown is divided by its size: kg, kg m and kg m2 of a mass `size[0]` at
+    a distance `size[1]` for bodies; an inertia for an armature; the torque of the weight for friction; that torque at
+    the speed of a pendulum of this length for damping. A direction of the parameters is determined if its standard
+    deviation is at most `tolerance` of these sizes, which does not depend on units. The result contains only determined
+    combinations.
 
-    Source: M. Gautier, Dynamic Identification of Robots with Power Model, ICRA (1997), for the weights of unknown
-    noise; M. Gautier (1991), as of `base_parameters`.
+    Source: M. Gautier, Dynamic Identification of Robots with Power Model, ICRA (1997), for the weights with unknown
+    noise; M. Gautier (1991), as for `base_parameters`.
 
     Args:
-        mechanism: a tree. Its numbers are those of known parameters, and where a physical fit begins.
-        records: "q", "qd", "qdd" and "tau", each (samples, n); tau are the joint forces of the motors, N or N m, zero
-            where there is none. Joints on groups have "<joint>_position". If samples are in the order of time, the
-            status can tell noise from errors of the model.
-        links: with unknown bodies, by name or joint, each with all that is fixed to it; all with a body by default.
-        drives: kinds that are unknown, for all joints: "armature", "damping", "friction".
-        noise: standard deviation of tau, () or (n,), N or N m. By default it is estimated for each freedom, with the
-            weights.
-        physical: also fit bodies in log-Cholesky form, and drives that are not negative. Undetermined directions stay
-            near the mechanism's.
-        tolerance: (), the largest standard deviation of what counts as determined, in parts of the sizes.
-        size: (kg, m): of typical bodies. By default the mean mass of the mechanism's bodies, and the root mean square
+        mechanism: a tree. It provides the values of the known parameters, and the start of a physical fit.
+        records: "q", "qd", "qdd" and "tau", each (samples, n). tau are the joint forces of the motors, N or N m, zero
+            for joints without a motor. Joints on groups have "<joint>_position". If samples are in the order of time,
+            the status can distinguish noise from model errors.
+        links: links with unknown bodies, by the name of the link or joint, each with all that is fixed to it; by
+            default all links with a body.
+        drives: kinds of drive parameters that are unknown, for all joints: "armature", "damping", "friction".
+        noise: standard deviation of tau, () or (n,), N or N m. By default it is estimated for each degree of freedom,
+            together with the weights.
+        physical: whether to fit physical parameters too: bodies in log-Cholesky form, and non-negative drive
+            parameters. Undetermined directions stay near the mechanism's values.
+        tolerance: (), the largest standard deviation of a determined direction, as a fraction of the sizes.
+        size: (kg, m) of typical bodies. By default the mean mass of the mechanism's bodies, and the root mean square
             distance of their mass from their joints.
-        params: values of Parameters; their defaults otherwise.
+        params: values of Parameters; by default their declared values.
     Raises:
-        ModelError: closures; nothing that moves; a link or drive that is not known; a size that is not known; for a
-            physical fit, an unknown body that is flat or missing.
-        InputError: records of other names or shapes, or not finite; forces that are all zero; too few samples.
+        ModelError: loop constraints; a mechanism without moving joints; an unknown link or drive; parameters whose size
+            is not known; for a physical fit, an unknown body that is flat or missing.
+        InputError: records with other names or of the wrong shape, or not finite; forces that are all zero; too few
+            samples.
 
     Example:
         `identify(arm, {"q": q, "qd": qd, "qdd": qdd, "tau": tau}, links=["hand"], noise=0.1).estimate("hand.mass")`
@@ -97,12 +100,12 @@ class _Task:
 
     Attributes:
         stacked: the regressor.
-        theta: (p,) of the mechanism.
-        unknown: (p,), which are estimated.
-        base: the base parameters of these.
-        Y: (samples n, unknown) of the records.
-        y: (samples, n), the forces without those of known parameters and springs.
-        scales: of the unknown parameters.
+        theta: (p,) parameters of the mechanism.
+        unknown: (p,) which of them are estimated.
+        base: the base parameters of the unknown ones.
+        Y: (samples n, unknown) the regressor of the records.
+        y: (samples, n) the forces minus those of known parameters and springs.
+        scales: sizes of the unknown parameters.
     """
 
     def __init__(
@@ -120,13 +123,16 @@ class _Task:
             raise ModelError("identify expects a mechanism with a joint that moves, got none")
         if mechanism.loops:
             raise ModelError(
-                "identify expects a tree, got closures, whose wrenches are not in the forces of its joints.\n"
-                "  fix: replace(loops=()) and records of the open mechanism"
+                "identify expects a tree, got loop constraints, whose wrenches are not known from the "
+                "joint forces.\n  fix: use replace(loops=()) and records of the open mechanism"
             )
         self.mechanism, self.stacked = mechanism, StackedRegressor.of(mechanism, DRIVE)
         data = JointRecords.of("identify", records, self.stacked.states)
         if unknown := sorted(set(params) - self.stacked.params):
-            raise InputError(f"identify: params has {listed(unknown)}; it takes {listed(sorted(self.stacked.params))}")
+            raise InputError(
+                f"identify: unknown names in params: {listed(unknown)}; possible names are "
+                f"{listed(sorted(self.stacked.params))}"
+            )
         self.theta = self.stacked.values(params)
         self.scales = self.stacked.scales(*self.stacked.typical("identify", self.theta, size))
         self.unknown = self.stacked.unknown("identify", links, drives)
@@ -138,24 +144,24 @@ class _Task:
         self.y = data.tau + self.stacked.springs(data.samples, params) - Y @ known
         self.Y, self.samples, self.tau = Y[:, :, self.unknown], data.samples, data.tau
         if not np.any(data.tau):
-            raise InputError("identify expects forces that are not all zero: without any the parameters have no scale")
+            raise InputError("identify expects forces that are not all zero")
 
     # ---- least squares -----------------------------------------------------------------------------------------------
 
     def solution(self, sigma: Array, tolerance: float) -> LeastSquaresSolution:
-        """The base parameters in parts of their sizes, weighted by the noise (n,)."""
+        """The base parameters as fractions of their sizes, weighted by the noise (n,)."""
         columns = list(self.base.columns)
         A = self.Y[:, :, columns] * self.scales[self.unknown][columns] / sigma[:, None]
         return determined(A.reshape(-1, len(columns)), (self.y / sigma).ravel(), tolerance)
 
     def estimated_noise(self) -> Array:
-        """The standard deviation (n,) of the residuals, which are weighted by it."""
+        """The standard deviation (n,) of the residuals, consistent with the weights."""
         count, n = self.y.shape
         rank = self.base.rank
         if count * n <= rank or count < 2:
             raise InputError(
-                f"identify: {count} samples of {n} forces leave no residuals of {rank} unknown combinations, so the "
-                "noise is not known.\n  fix: noise=..., or more samples"
+                f"identify: {count} samples of {n} forces are not enough to estimate {rank} unknown "
+                "combinations and the noise.\n  fix: pass noise=..., or more samples"
             )
         floor = _LEAST_NOISE * float(np.sqrt(np.mean(self.tau**2)))
         sigma = np.maximum(np.sqrt(np.mean(self.tau**2, axis=0)), floor)
@@ -167,12 +173,14 @@ class _Task:
     # ---- the result --------------------------------------------------------------------------------------------------
 
     def physical_fit(self, sigma: Array) -> PhysicalFit:
-        """Bodies that are physical, and drives that are not negative."""
+        """Physical bodies and non-negative drive parameters, fitted to the data."""
         A = (self.Y * self.scales[self.unknown] / sigma[:, None]).reshape(-1, int(self.unknown.sum()))
         return PhysicalFit(self.mechanism, self.stacked, self.unknown, self.theta, self.scales, A, self.y / sigma)
 
     def result(self, solution: LeastSquaresSolution, sigma: Array, fit: PhysicalFit | None) -> Identification:
-        """All of it in the units of the parameters, with a one for the first parameter of each combination."""
+        """The result in the units of the parameters, with a coefficient of one for the first parameter of each
+        combination.
+        """
         names = tuple(np.array(self.stacked.names, dtype=object)[self.unknown])
         scales, count = self.scales[self.unknown], len(self.y)
         columns = scales[list(self.base.columns)]
@@ -205,7 +213,7 @@ class _Task:
 
 
 def noise_of(owner: str, noise: Any, n: int) -> Array | None:
-    """The standard deviation (n,) of the forces; None where it is not known. Raises InputError."""
+    """The standard deviation (n,) of the forces; None if it is not known. Raises InputError for invalid values."""
     if noise is None:
         return None
     sigma = reals(f"{owner}: noise", noise, InputError).astype(np.float64)

@@ -1,4 +1,4 @@
-"""Records of joints: samples of positions, velocities, accelerations and forces, checked."""
+"""Joint records: samples of positions, velocities, accelerations and forces, with checks."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from ...expr.lie.base import NEARLY
 from ...groups.arrays import element_defect
 
 Array = NDArray[np.float64]
-#: The name of the forces of the joints.
+#: The name of the joint forces.
 FORCES = "tau"
-#: Squares of what is larger, in units of what is smaller than its inverse, overflow.
+#: Squares of larger numbers overflow if they are expressed in units smaller than the inverse of this number.
 LARGEST = 1e50
 
 
@@ -28,7 +28,7 @@ class JointRecords:
 
     Attributes:
         samples: by state, (count, ...).
-        tau: the forces of the joints (count, n).
+        tau: the joint forces (count, n).
     """
 
     samples: dict[str, Array]
@@ -36,7 +36,9 @@ class JointRecords:
 
     @classmethod
     def of(cls, owner: str, records: Any, states: Sequence[State]) -> JointRecords:
-        """Raises InputError for other names, other shapes, numbers that are not finite, and no samples."""
+        """Raises InputError for unknown or missing names, arrays of the wrong shape, numbers that are not finite, and
+        empty records.
+        """
         states = [state for state in states if state.shape != (0,)]
         names = [*(state.name for state in states), FORCES]
         if not isinstance(records, Mapping) or set(records) != set(names):
@@ -57,12 +59,12 @@ class JointRecords:
             if wrong.size:
                 raise InputError(
                     f"{owner} expects finite records below {LARGEST:g}, got {short(value[wrong[0]])} for {name!r} at "
-                    f"sample {int(wrong[0])}.\n  fix: leave out the {wrong.size} samples that are not"
+                    f"sample {int(wrong[0])}.\n  fix: remove the {wrong.size} samples with such values"
                 )
             arrays[name] = value
         counts = {name: len(value) for name, value in arrays.items()}
         if len(set(counts.values())) > 1:
-            raise InputError(f"{owner} expects as many samples of each record, got {counts}")
+            raise InputError(f"{owner} expects the same number of samples in each record, got {counts}")
         for state in states:
             if not state.group.flat:
                 _need_elements(owner, state.name, arrays[state.name])
@@ -71,11 +73,11 @@ class JointRecords:
 
 
 def _need_elements(owner: str, name: str, values: Array) -> None:
-    """Raise InputError for matrices that are no rotations or poses."""
+    """Raise InputError for matrices that are not rotations or poses."""
     defects = np.array([element_defect(value) for value in values])
     if not defects.max() <= NEARLY:
         k = int(np.argmax(defects))
         raise InputError(
             f"{owner} expects rotations or poses as {name!r}, got\n{values[k]} at sample {k}\n"
-            "  fix: tx.pose(...) builds one, tx.SE3.normalize(T) takes the nearest one of a drifted matrix"
+            "  fix: tx.pose(...) builds one, tx.SE3.normalize(T) returns the pose nearest to a matrix"
         )

@@ -1,4 +1,4 @@
-"""Physical parameters that fit the forces best: bodies by log-Cholesky numbers, drives that are not negative."""
+"""The physical parameters that fit the forces best: bodies in log-Cholesky form, and non-negative drive parameters."""
 
 from __future__ import annotations
 
@@ -16,33 +16,35 @@ from .regressor import BODY
 from .stacked_regressor import StackedRegressor
 
 Array = NDArray[np.float64]
-#: The standard deviation, of logarithms and in parts of sizes, about the mechanism's values: a weak pull that leaves
-#: what the data do not determine where it was.
+#: The standard deviation, of logarithms and of parameters as fractions of their sizes, of a weak prior at the
+#: mechanism's values, which keeps undetermined parameters near these.
 _PULL = 3.0
-#: Iterations at most, and the predicted decrease of the sum of squares, in units of the noise, of a minimum.
+#: The largest number of iterations; and the predicted decrease of the sum of squares, in units of the noise, below
+#: which a minimum is reached.
 _ITERATIONS, _NEGLIGIBLE = 300, 0.25
-#: Where the root of a drive's parameter begins if the mechanism has none, in parts of sizes: at zero its slope is zero.
+#: The initial root of a drive's parameter that is zero in the mechanism, as a fraction of sizes: at zero the derivative
+#: would vanish.
 _LEAST_DRIVE = 0.03
 
 
 class PhysicalFit:
     """The least squares fit of $A theta = y$ with noise of unit variance, over physical parameters.
 
-    A body is the factor U of its pseudo-inertia $U U^T$, see `physical_inertia`. A step multiplies it by the factor of
-    ten log-Cholesky numbers, so that these count relative to the present body, and no step leaves what is physical. A
-    drive is a square.
+    A body is represented by the factor U of its pseudo-inertia $U U^T$, see `physical_inertia`. A step multiplies U by
+    the factor of ten log-Cholesky numbers, so steps are relative to the current body, and bodies remain physical. A
+    drive parameter is represented as a square.
 
     Args:
-        mechanism, stacked: whose parameters they are.
-        unknown: (p,), which of them are fitted.
-        theta, scales: (p,), of the mechanism, and the sizes.
-        A: (N, unknown), in units of the noise, of parameters as parts of their sizes.
-        y: in units of the noise.
+        mechanism, stacked: the mechanism, and its stacked regressor.
+        unknown: (p,) which of the parameters are fitted.
+        theta, scales: (p,) the parameters of the mechanism, and their sizes.
+        A: (N, unknown), in units of the noise, for parameters as fractions of their sizes.
+        y: (N,), in units of the noise.
     Attributes:
-        theta: (p,), fitted.
-        excess: by how much the sum of squares exceeds that of the linear fit.
-        finished: whether it ended at a minimum.
-        mechanism: the fitted one.
+        theta: (p,) the fitted parameters.
+        excess: the sum of squares minus that of the linear fit.
+        finished: whether the fit converged to a minimum.
+        mechanism: the mechanism with fitted parameters.
     Raises: ModelError for an unknown body that is flat or missing.
     """
 
@@ -74,7 +76,7 @@ class PhysicalFit:
         self.mechanism = _fitted(mechanism, stacked, segments, self.theta, unknown)
 
     def _minimised(self) -> tuple[Array, bool]:
-        """The parameters at the minimum by Levenberg's and Marquardt's method, and whether it was reached."""
+        """The parameters at the minimum by the Levenberg-Marquardt method, and whether it converged."""
         x, damping = self._start, 1e-3
         r = self._misfit(x)
         for _ in range(_ITERATIONS):
@@ -99,7 +101,7 @@ class PhysicalFit:
         return np.concatenate([bodies, x.roots**2 * self._scales[bodies.size :]])
 
     def _misfit(self, x: _Physical) -> Array:
-        """In units of the noise, and how far the bodies are from those of the mechanism."""
+        """The residuals in units of the noise, and the deviations of the bodies from those of the mechanism."""
         relative = self._back @ x.U
         logs = np.log(np.diagonal(relative, axis1=1, axis2=2))
         pulled = np.concatenate([np.concatenate([logs, relative[:, *_ABOVE]], axis=1).ravel(), x.roots - self._roots])
@@ -123,13 +125,13 @@ class PhysicalFit:
 
 @dataclasses.dataclass(frozen=True)
 class _Physical:
-    """Factors U (bodies, 4, 4) of pseudo-inertias, and the roots (drives,) of what is not negative."""
+    """Factors U (bodies, 4, 4) of pseudo-inertias, and the roots (drives,) of non-negative parameters."""
 
     U: Array
     roots: Array
 
     def moved(self, step: Array) -> _Physical:
-        """After a step of ten numbers for each body, and one for each drive."""
+        """The parameters after a step of ten numbers for each body, and one for each drive."""
         z = step[: len(BODY) * len(self.U)].reshape(-1, len(BODY))
         T = np.zeros_like(self.U)
         T[:, range(4), range(4)] = np.exp(z[:, :4])
@@ -137,14 +139,14 @@ class _Physical:
         return _Physical(self.U @ T, self.roots + step[z.size :])
 
 
-#: The places above the diagonal, and the unit matrices (10, 4, 4) of the diagonal and of these.
+#: The indices above the diagonal, and the unit matrices (10, 4, 4) for the diagonal and for these entries.
 _ABOVE = np.triu_indices(4, 1)
 _UNITS = np.zeros((len(BODY), 4, 4))
 _UNITS[range(10), [*range(4), *_ABOVE[0]], [*range(4), *_ABOVE[1]]] = 1.0
 
 
 def _factor(bodies: Array) -> Array:
-    """U (count, 4, 4), upper triangular, of the pseudo-inertias of parameters (count, 10)."""
+    """The upper triangular factors U (count, 4, 4) of the pseudo-inertias for parameters (count, 10)."""
     m, (xx, xy, yy, xz, yz, zz) = bodies[:, 0], bodies[:, 4:].T
     J = np.empty((len(bodies), 4, 4))
     J[:, 3, 3], J[:, :3, 3], J[:, 3, :3] = m, bodies[:, 1:4], bodies[:, 1:4]
@@ -167,13 +169,15 @@ def _check_body(mechanism: Mechanism, i: int) -> None:
     segment = mechanism.segments[i]
     if segment.body is None:
         raise ModelError(
-            f"identify: link {segment.link.name!r} has no body, where a physical fit begins.\n"
-            "  fix: with_inertia({...}) with a body of about the right size"
+            f"identify: link {segment.link.name!r} has no body, which a physical fit needs as its start.\n"
+            f"  fix: use with_inertia({...}) with a body of about the right size"
         )
     try:
         log_cholesky(segment.body)
     except ModelError as error:
-        raise ModelError(f"identify: a physical fit begins at the body of {segment.link.name!r}: {error}") from None
+        raise ModelError(
+            f"identify: a physical fit cannot start from the body of {segment.link.name!r}: {error}"
+        ) from None
 
 
 def _fitted(
@@ -183,7 +187,7 @@ def _fitted(
     theta: Array,
     unknown: NDArray[np.bool_],
 ) -> Mechanism:
-    """The mechanism with bodies, which include all that is fixed to their links, and drives of parameters (p,)."""
+    """The mechanism with bodies, which include all that is fixed to their links, and with drives of parameters (p,)."""
     bodies: dict[str, SpatialInertia | None] = {
         link.name: None for link in mechanism.links if mechanism.frame(link.name).segment in segments
     }

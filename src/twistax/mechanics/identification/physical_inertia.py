@@ -1,12 +1,12 @@
-"""Inertias that are physical for all values of ten numbers: the log-Cholesky form of the pseudo-inertia.
+"""Inertias that are physical for all values of ten parameters: the log-Cholesky form of the pseudo-inertia.
 
-The pseudo-inertia of a body is the integral of $r r^T$ over its mass, with $r = [x, y, z, 1]$. A body has positive mass
-density somewhere off every plane if it is positive definite. With an upper triangular factor
+The pseudo-inertia of a body is the integral of $r r^T$ over its mass, with $r = [x, y, z, 1]$. It is positive definite
+if and only if the body has a positive mass that does not lie in a single plane. With an upper triangular factor
 
     J = U U^T,  U = e^a [[e^d1, s12, s13, t1], [0, e^d2, s23, t2], [0, 0, e^d3, t3], [0, 0, 0, 1]]
 
 the mass is e^(2a), the centre of mass is t, and $e^(2a) S S^T$ is the second moment about it, with S the upper left
-block. So every vector of the ten numbers is a body, and every body that is not flat is one vector.
+block. So every vector of the ten parameters describes a body, and every body that is not flat has exactly one vector.
 
 Source: C. Rucker, P. Wensing, Smooth Parameterization of Rigid-Body Inertia, IEEE Robotics and Automation Letters 7
 (2022), equations 8 to 10.
@@ -28,18 +28,20 @@ _ZERO = Constant(0.0)
 
 
 def physical_inertia(parameters: ExprLike) -> SpatialInertia:
-    """A body from ten numbers $[a, d1, d2, d3, s12, s23, s13, t1, t2, t3]$, physical for all values of the numbers.
+    """A body from ten parameters $[a, d1, d2, d3, s12, s23, s13, t1, t2, t3]$, physical for all their values.
 
-    $m = e^(2 a)$ kg, the centre of mass is t, m. With the upper triangular S of the diagonal $e^d$ and the entries s
+    The mass is $m = e^(2 a)$ kg, and the centre of mass is t, m. With S the upper triangular matrix that has the
+    diagonal $e^d$ and the entries s,
 
         $Sigma = m S S^T, I_c = tr(Sigma) 1 - Sigma$.
 
-    As Parameters any optimiser can fit them without constraints; `log_cholesky` returns initial values.
+    If the ten parameters are a `Parameter`, any optimiser can fit them without constraints; `log_cholesky` returns
+    initial values.
 
     Source: C. Rucker, P. Wensing, Smooth Parameterization of Rigid-Body Inertia (2022), equations 8 to 10.
 
     Args:
-        parameters: (10,), any numbers.
+        parameters: (10,), any finite numbers.
     Raises: ShapeError if they are not of shape (10,); ModelError for numbers that are not finite.
     """
     x = of_shape("physical_inertia", "parameters", parameters, (10,))
@@ -53,17 +55,18 @@ def physical_inertia(parameters: ExprLike) -> SpatialInertia:
 
 
 def log_cholesky(body: SpatialInertia) -> NDArray[np.float64]:
-    """The ten numbers (10,) of a body, the inverse of `physical_inertia`.
+    """The ten parameters (10,) of a body, the inverse of `physical_inertia`.
 
-    S is the upper triangular Cholesky factor of the second moment about the centre of mass, per kg:
+    With S the upper triangular Cholesky factor of the second moment about the centre of mass, per kg:
 
         $S S^T = (tr(I_c) 1 / 2 - I_c) / m, a = log(m) / 2, d = log(diag S)$.
 
     Source: C. Rucker, P. Wensing, Smooth Parameterization of Rigid-Body Inertia (2022), equations 8 to 10.
 
     Args:
-        body: with numbers for mass, centre of mass and inertia, or Parameters with values.
-    Raises: ModelError for another type; a body that is flat, a line or a point, or that is not physical.
+        body: a body whose mass, centre of mass and inertia are numbers, or Parameters with values.
+    Raises: ModelError for an object of another type; a body that is flat, a line or a point; or a body that is not
+    physical.
     """
     of_kind("log_cholesky", "body", body, SpatialInertia)
     mass, center, tensor = (_number(name, getattr(body, name)) for name in ("mass", "center_of_mass", "inertia"))
@@ -71,8 +74,8 @@ def log_cholesky(body: SpatialInertia) -> NDArray[np.float64]:
     moments = np.linalg.eigvalsh(second)
     if not (mass > 0.0 and moments[0] > 0.0):
         raise ModelError(
-            f"log_cholesky expects a body with mass off every plane: each principal moment below the sum of the other "
-            f"two, got {float(mass)} kg and {np.linalg.eigvalsh(tensor).tolist()} kg m2.\n"
+            "log_cholesky expects a body that is not flat: each principal moment must be below the sum of "
+            f"the other two, got {float(mass)} kg and {np.linalg.eigvalsh(tensor).tolist()} kg m2.\n"
             "  fix: give it a thickness"
         )
     flip = np.eye(3)[::-1]

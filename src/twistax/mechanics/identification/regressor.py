@@ -1,7 +1,7 @@
-"""The inverse dynamics as a linear function of masses, first moments and inertias.
+"""Inverse dynamics as a linear function of masses, first moments and inertias.
 
-With B the acceleration of a segment less gravity, [b; a], and w its angular velocity, see `algorithms/motion.py`, its
-wrench is linear in its mass m, first moment h = m c and inertia I about the origin:
+Let B = [b; a] be the acceleration of a segment minus gravity, and w its angular velocity, see `algorithms/motion.py`.
+The wrench of the segment is linear in its mass m, first moment h = m c and inertia I about the origin:
 
     f = m b + a x h + w x (w x h)        tau = h x b + I a + w x I w
 
@@ -39,9 +39,9 @@ class Regressor:
     """Joint forces as a linear function of parameters, $tau = Y theta$. Made by `inverse_dynamics_regressor`.
 
     Attributes:
-        matrix: Y (n, p), of positions, velocities and accelerations.
-        parameters: theta (p,) of the mechanism itself: kg, kg m, kg m2, and the units of `Drive`.
-        names: of the parameters, such as "forearm.mass", "forearm.mx", "forearm.Ixy" and "elbow.damping".
+        matrix: Y (n, p), a function of positions, velocities and accelerations.
+        parameters: theta (p,), the values of the mechanism: kg, kg m, kg m2, and the units of `Drive`.
+        names: names of the parameters, such as "forearm.mass", "forearm.mx", "forearm.Ixy" and "elbow.damping".
     """
 
     matrix: Expr
@@ -59,10 +59,10 @@ def inverse_dynamics_regressor(
 ) -> Regressor:
     """The regressor Y (n, p) of the inverse dynamics: $Y(q, qd, qdd) theta = tau$, N or N m, linear in all parameters.
 
-    Each segment, with all that is fixed to it, has ten of them in its frame: the mass m, the first moment $m c$ and
-    the inertia about the origin, in the order mass, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz. With a and w the angular
-    acceleration and velocity, b the acceleration of the origin minus gravity, and $L(x)$ (3, 6) such that $L(x)$ times
-    the six entries is $I x$, their wrench is
+    Each segment, with all that is fixed to it, has ten parameters in its frame: the mass m, the first moment $m c$ and
+    the inertia about the origin, in the order mass, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz. Let a and w be the
+    angular acceleration and velocity, b the acceleration of the origin minus gravity, and $L(x)$ (3, 6) such that
+    $L(x)$ times the six entries of the inertia I is $I x$. The wrench of the segment is
 
         $f = m b + ([a]x + [w]x [w]x) m c, tau = -[b]x m c + (L(a) + [w]x L(w)) I$
 
@@ -73,13 +73,13 @@ def inverse_dynamics_regressor(
 
     Args:
         mechanism: a tree or a chain.
-        q, qd, qdd: as of `inverse_dynamics`.
-        drives: further parameters, of every joint that moves: "armature" of rotors, "damping", and "friction" with the
-            `friction_speed` of each drive. By default armatures of the joints that have one: then $Y theta$ is
+        q, qd, qdd: as in `inverse_dynamics`.
+        drives: additional parameters of every moving joint: "armature" of rotors, "damping", and "friction" with the
+            `friction_speed` of each drive. By default the armatures of the joints that have one: then $Y theta$ equals
             `inverse_dynamics`.
     Raises:
-        ShapeError: an argument of another shape.
-        ModelError: positions that are not known; another name among drives; a body with masses that move in it.
+        ShapeError: an argument of the wrong shape.
+        ModelError: unknown positions; an unknown name in `drives`; a body with masses that move in it.
     """
     owner = "inverse_dynamics_regressor"
     checked(owner, mechanism)
@@ -98,10 +98,10 @@ def inverse_dynamics_regressor(
 
 
 def forces_of_parameters(mechanism: KinematicTree, theta: Expr, drives: Collection[str] | None, qdd: Expr) -> Expr:
-    """The joint forces (n,) of parameters theta (p,), Y theta, by one recursion: Y itself is not built.
+    """The joint forces Y theta (n,) for parameters theta (p,), by one recursion that does not compute Y.
 
     Args:
-        theta: in the order of `inverse_dynamics_regressor`, with `drives` as there.
+        theta: in the order of `inverse_dynamics_regressor` with the same `drives`.
         qdd: accelerations (n,); positions and velocities are the states of the mechanism.
     """
     owner = "inverse_dynamics_regressor"
@@ -123,7 +123,7 @@ def forces_of_parameters(mechanism: KinematicTree, theta: Expr, drives: Collecti
 
 
 def _wrenches(w: Expr, B: Expr) -> Expr:
-    """The wrench (6, 10) of a segment by its parameters, in its frame."""
+    """The wrench (6, 10) of a segment as a linear function of its parameters, in its frame."""
     b, a = linear(B), angular(B)
     W, zero = Hat(w), Constant(np.zeros((3, 6)))
     force = [b[:, None], Hat(a) + W @ W, zero]
@@ -132,14 +132,16 @@ def _wrenches(w: Expr, B: Expr) -> Expr:
 
 
 def _inertia_times(x: Expr) -> Expr:
-    """L(x) (3, 6): L(x) [Ixx, Ixy, Iyy, Ixz, Iyz, Izz] = I x."""
+    """The matrix L(x) (3, 6) with L(x) [Ixx, Ixy, Iyy, Ixz, Iyz, Izz] = I x."""
     o = Constant(0.0)
     x, y, z = x[0], x[1], x[2]
     return Stack(Concat(x, y, o, z, o, o), Concat(o, x, y, o, z, o), Concat(o, o, o, x, y, z))
 
 
 def _block(mechanism: KinematicTree, moving: list[Moving], i: int, F: Expr) -> Expr:
-    """The forces (n, 10) of all joints by the parameters of segment i: only those towards the base feel it."""
+    """The forces (n, 10) of all joints as a linear function of the parameters of segment i: nonzero only for joints
+    between it and the base.
+    """
     rows: list[list[Expr]] = [[] for _ in range(mechanism.dofs)]
     while i >= 0:
         segment = mechanism.segments[i]
@@ -170,7 +172,7 @@ def parameters_of(body: SpatialInertia) -> Expr:
 
 
 def _of_drives(owner: str, mechanism: KinematicTree, drives: Collection[str] | None) -> list[tuple[Segment, str]]:
-    """The joints and kinds that have a column."""
+    """The joints and kinds of drive parameters that have a column."""
     moving = [segment for segment in mechanism.segments if segment.freedoms]
     if drives is None:
         return [(segment, "armature") for segment in moving if segment.link.drive.rotor is not None]
@@ -182,7 +184,7 @@ def _of_drives(owner: str, mechanism: KinematicTree, drives: Collection[str] | N
 
 
 def _drive_column(mechanism: KinematicTree, segment: Segment, kind: str, qd: Expr, qdd: Expr) -> Expr:
-    """The forces (n, 1) of all joints by one parameter of a drive."""
+    """The forces (n, 1) of all joints as a linear function of one drive parameter."""
     rows: list[Expr] = [Constant(0.0)] * mechanism.dofs
     turned = turning_of_rotor(mechanism, segment, qd) if kind == "armature" else None
     for k, i in enumerate(segment.freedoms):

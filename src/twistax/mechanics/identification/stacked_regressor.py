@@ -1,4 +1,4 @@
-"""The regressor of many samples as numbers."""
+"""The regressor of many samples, as numbers."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from ...system.lower import lower
 from ..kinematic_tree import KinematicTree
 from .regressor import BODY, DRIVE, Regressor, forces_of_parameters, inverse_dynamics_regressor
 
-#: Standard gravity, m/s2: turns a mass and a length into a force and a time.
+#: Standard gravity, m/s2, which converts a mass and a length into a force and a time.
 _GRAVITY = 9.80665
-#: The powers of mass and length in the unit of a body's parameter.
+#: The exponents of mass and length in the unit of a body's parameter.
 _LENGTHS = (0, 1, 1, 1, 2, 2, 2, 2, 2, 2)
 
 Array = NDArray[np.float64]
@@ -30,15 +30,15 @@ Array = NDArray[np.float64]
 class StackedRegressor:
     """The regressor of a mechanism at many samples, and the sizes of its parameters.
 
-    The forces Y theta are compiled, and Y has those of unit vectors as its columns: this program is as small as that of
-    the inverse dynamics, while the matrix has as many entries as freedoms times parameters.
+    The function Y theta is compiled; the columns of Y are its values for unit vectors. This program is as small as that
+    of inverse dynamics, while the matrix has as many entries as degrees of freedom times parameters.
 
     Args:
         mechanism: a tree or a chain.
-        drives: as of `inverse_dynamics_regressor`.
+        drives: as in `inverse_dynamics_regressor`.
     Attributes:
-        regressor: the expressions.
-        states: the states of a sample, with "qdd".
+        regressor: the regressor as expressions.
+        states: the states of a sample, including "qdd".
         params: the names of Parameters.
     """
 
@@ -62,7 +62,7 @@ class StackedRegressor:
     @staticmethod
     @functools.lru_cache(maxsize=32)
     def of(mechanism: KinematicTree, drives: tuple[str, ...] | None) -> StackedRegressor:
-        """Programs of a mechanism are compiled once."""
+        """The programs of a mechanism are compiled once and cached."""
         return StackedRegressor(mechanism, drives)
 
     @staticmethod
@@ -79,16 +79,16 @@ class StackedRegressor:
         return jax.jit(jax.vmap(columns, in_axes=(0, None, None)))
 
     def matrix(self, samples: Mapping[str, Any], params: Mapping[str, Any]) -> Array:
-        """Y (count, n, p) of samples by state, each (count, ...)."""
+        """Y (count, n, p) for samples by state, each (count, ...)."""
         units = np.split(np.eye(len(self.regressor.names)), self._parts[:-1], axis=1)
         with jax.enable_x64(True):
             columns = self._forces(dict(samples), {f"parameters {i}": u for i, u in enumerate(units)}, dict(params))
             return np.swapaxes(np.asarray(columns, dtype=np.float64), 1, 2)
 
     def random_matrix(self, params: Mapping[str, Any], count: int | None = None, seed: int = 0) -> Array:
-        """Y (count n, p) at random states; with three times as many equations as parameters by default.
+        """Y (count n, p) at random states; by default there are three times as many equations as parameters.
 
-        Elements of SO(3) and SE(3) are random, other entries between -pi and pi.
+        Elements of SO(3) and SE(3) are random; other entries are between -pi and pi.
         """
         count = -(-3 * len(self.names) // self.mechanism.dofs) if count is None else count
         rng = np.random.default_rng(seed)
@@ -101,7 +101,7 @@ class StackedRegressor:
             return np.asarray(self._springs(dict(samples), {}, dict(params)), dtype=np.float64)
 
     def values(self, params: Mapping[str, Any]) -> Array:
-        """theta (p,) of the mechanism itself."""
+        """The parameters theta (p,) of the mechanism."""
         known = {leaf.name for leaf in leaves_of(self.regressor.parameters)}
         with jax.enable_x64(True):
             theta = self._values(0.0, {}, params={k: v for k, v in params.items() if k in known})
@@ -117,18 +117,19 @@ class StackedRegressor:
         return float(mass.sum() / count), float(np.sqrt(moments.sum() / mass.sum()))
 
     def typical(self, owner: str, theta: Array, size: Any) -> tuple[float, float]:
-        """The mass, kg, and the length, m, of typical bodies: `size`, or where that is None those of parameters theta.
+        """The mass, kg, and the length, m, of typical bodies: the argument `size`, or by default those of the
+        parameters theta.
 
         Raises:
-            ModelError: there are no masses.
-            InputError: a size of something else.
+            ModelError: the mechanism has no masses.
+            InputError: a size that is not two positive numbers.
         """
         if size is None:
             mass, length = self.size(theta)
             if not mass:
                 raise ModelError(
-                    f"{owner}: the mechanism has no masses off its joints, so the size of its parameters is unknown.\n"
-                    "  fix: size=(kg, m) of a typical body"
+                    f"{owner}: all masses of the mechanism lie on its joints, so the size of its "
+                    "parameters is unknown.\n  fix: pass size=(kg, m) of a typical body"
                 )
             return mass, length
         pair = reals(f"{owner}: size", size, InputError)
@@ -137,14 +138,17 @@ class StackedRegressor:
         return float(pair[0]), float(pair[1])
 
     def scales(self, mass: float, length: float) -> Array:
-        """The size (p,) of each parameter, in its unit: of a mass and a length, and of drives that carry its weight."""
+        """The size (p,) of each parameter, in its unit, from a mass and a length; for drives, such that they carry the
+        weight of the mass.
+        """
         bodies = np.tile(mass * length ** np.array(_LENGTHS, dtype=np.float64), self._bodies // len(BODY))
         return np.array([*bodies, *(self._of_drive(name, mass, length) for name in self.names[self._bodies :])])
 
     def unknown(self, owner: str, links: Collection[str] | None, drives: Collection[str]) -> NDArray[np.bool_]:
-        """Which parameters (p,) are those of some links, all with a body by default, and kinds of drives.
+        """Which of the parameters (p,) are unknown: those of some links, by default all with a body, and of some kinds
+        of drives.
 
-        Raises: ModelError for a link or kind that is not known, a link that no joint moves, and where none is left.
+        Raises: ModelError for an unknown link or kind, a link that no joint moves, and if no parameter is unknown.
         """
         segments = self.mechanism.segments
         if links is None:
@@ -154,7 +158,7 @@ class StackedRegressor:
             chosen = {self.mechanism.frame(name).segment for name in names}
             still = [name for name in names if self.mechanism.frame(name).segment < 0]
             if still:
-                raise ModelError(f"{owner}: no joint force depends on {listed(still)}, which the base carries")
+                raise ModelError(f"{owner}: no joint force depends on {listed(still)}, which do not move")
         kinds = name_list(f"{owner}: drives", drives, ModelError)
         for kind in kinds:
             if kind not in DRIVE:
@@ -163,12 +167,12 @@ class StackedRegressor:
         joints = [name.rpartition(".")[2] in kinds for name in self.names[self._bodies :]]
         unknown = np.concatenate([bodies, joints]).astype(bool)
         if not unknown.any():
-            raise ModelError(f"{owner} expects links or drives that are unknown, got none")
+            raise ModelError(f"{owner} expects at least one unknown link or drive, got none")
         return unknown
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the parameters."""
+        """The names of the parameters."""
         return self.regressor.names
 
     def _of_drive(self, name: str, mass: float, length: float) -> float:
@@ -181,7 +185,7 @@ class StackedRegressor:
 
 
 def _springs(mechanism: KinematicTree) -> Expr:
-    """The force (n,) of springs on each freedom."""
+    """The spring force (n,) on each degree of freedom."""
     forces: list[Expr] = [Constant(0.0)] * mechanism.dofs
     for segment, place in zip(mechanism.segments, mechanism.positions("identify", None), strict=True):
         drive, deflection = segment.link.drive, segment.link.joint.deflection(place)

@@ -20,14 +20,14 @@ from .xml_file import Element
 
 @dataclasses.dataclass(frozen=True)
 class _UnphysicalLink:
-    """A link with a mass or inertia that no real body has.
+    """A link with a mass or inertia that is not physical.
 
     Attributes:
-        why: the error of `SpatialInertia`.
-        mass: of the link.
-        moments: the principal moments about its centre of mass, smallest first.
-        signs: whether they are physical with the other sign of the products of inertia.
-        element: its element in the file.
+        why: the error message of `SpatialInertia`.
+        mass: mass of the link.
+        moments: principal moments about its centre of mass, smallest first.
+        signs: whether the inertia is physical with the opposite sign of the products of inertia.
+        element: the link's element in the file.
     """
 
     why: str
@@ -42,22 +42,22 @@ class _UnphysicalLink:
 
     @property
     def hint(self) -> str:
-        """What may be wrong in the file."""
+        """A possible cause of the error in the file."""
         return ", but has with the other sign of the products of inertia" if self.signs else ""
 
 
 class Choices:
-    """Makes Parameters of the numbers that `wanted` names. Checks masses and inertias.
+    """Makes Parameters of the numbers that `wanted` names, and checks masses and inertias.
 
     Args:
-        wanted: True for all, or names.
-        physical: which unphysical masses and inertias are accepted. None: those with which the equations of motion
-            have one solution. True: none. False: all. A mapping has True or False for single links; None for others.
+        wanted: True for all numbers, or names.
+        physical: which unphysical masses and inertias are accepted. None: those with which the equations of motion have
+            a unique solution. True: none. False: all. A mapping has True or False for single links; None for others.
     Attributes:
         length: the largest distance in the file between two of its frames, m. Entries of an inertia below the round-off
             of mass times length^2 have no effect.
-        doubts: the unphysical links by name. `judge` refuses or accepts them.
-        notes: what was accepted as it is, or changed.
+        doubts: the unphysical links by name, which the method `judge` refuses or accepts.
+        notes: what was accepted unchanged, or changed.
     """
 
     def __init__(self, wanted: bool | Iterable[str], physical: bool | Mapping[str, bool] | None = None) -> None:
@@ -78,14 +78,14 @@ class Choices:
         self._bodies, self._rounded = list[str](), list[str]()
 
     def of(self, owner: str, what: str, value: Any) -> Any:
-        """The value, or if asked for a Parameter `<owner>_<what>` with that value."""
+        """The value; if it is a requested Parameter, a Parameter `<owner>_<what>` with that value."""
         name = f"{owner}_{what}"
         self.known.append(name)
         chosen = self.wanted if isinstance(self.wanted, bool) else name in self.wanted
         return Parameter(name, value=np.asarray(value, dtype=np.float64)) if chosen else value
 
     def origin(self, owner: str, R: np.ndarray, p: np.ndarray) -> Any:
-        """The pose of an origin; an expression if its position is a Parameter."""
+        """The pose of an <origin>; an expression if its position is a Parameter."""
         position = self.of(owner, "origin", p)
         return matrix(R, p) if position is p else Pose(R, position)
 
@@ -107,24 +107,26 @@ class Choices:
             self.doubts[owner] = _UnphysicalLink(why, mass, np.linalg.eigvalsh(tensor), signs, element)
         self._bodies.append(owner)
         return SpatialInertia(
-            mass=self.of(owner, "mass", mass) if mass else mass,  # two bodies whose masses may be zero have no centre
+            mass=self.of(owner, "mass", mass)
+            if mass
+            else mass,  # two bodies whose masses may be zero have no centre of mass
             center_of_mass=self.of(owner, "center_of_mass", center),
             inertia=self.of(owner, "inertia", tensor),
             physical=why is None,
         )
 
     def judge(self, links: Collection[Link], base: str) -> None:
-        """Refuse or note the doubtful links, judged by the bodies that they form with all that is fixed to them.
+        """Refuse or note the unphysical links, depending on the bodies that they form with all that is fixed to them.
 
-        A link gets a note if it does not move, if the whole body is physical, if the caller accepts the link as it is,
-        or if the whole body has a positive definite spatial inertia and the caller demands no more. If all moving
-        bodies are positive definite, the mass matrix is: the equations of motion have one solution. A negative mass is
-        accepted only where the caller says so.
+        A link gets a note if it does not move, if the whole body is physical, if the caller accepts the link unchanged,
+        or if the whole body has a positive definite spatial inertia and the caller requires no more. If all moving
+        bodies are positive definite, the mass matrix is too, so the equations of motion have a unique solution. A
+        negative mass is accepted only if the caller accepts it explicitly.
 
         Args:
-            links: of the model, with numbers for masses and inertias.
+            links: the links of the model, with numbers for masses and inertias.
             base: the name of the base.
-        Raises: ModelError for the other links.
+        Raises: ModelError for the links that are refused.
         """
         segments, frames = segments_of(sorted_links(links, base), (), base) if links else ((), {})
         refused = list[str]()
@@ -167,7 +169,7 @@ class Choices:
 
 
 def _objection(mass: Any, center: Any, tensor: Any) -> str | None:
-    """Why no real body has this mass and inertia; None if one may."""
+    """The reason why this mass and inertia are not physical; None if they are."""
     try:
         SpatialInertia(mass=mass, center_of_mass=center, inertia=tensor)
     except TwistaxError as error:
@@ -180,7 +182,9 @@ def _objection_to(body: SpatialInertia) -> str | None:
 
 
 def _well_posed(body: SpatialInertia) -> bool:
-    """Whether a body of numbers has one acceleration for each wrench: its spatial inertia is positive definite."""
+    """Whether the spatial inertia of a numeric body is positive definite: then it has a unique acceleration for each
+    wrench.
+    """
     parts: tuple[Any, Any] = (body.mass, body.inertia)
     mass, tensor = (np.asarray(part.value) for part in parts)
     return bool(mass > 0.0) and positive_definite(tensor)

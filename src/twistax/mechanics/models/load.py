@@ -29,27 +29,27 @@ def load(
     quarter_turns: float = 1e-9,
     within: str | Path | None = None,
 ) -> Mechanism:
-    """The mechanism that a file describes, in URDF or in MJCF, which the root element determines.
+    """Load the mechanism that a file describes, in URDF or MJCF; the root element determines the format.
 
-    MJCF is compiled by MuJoCo (`pip install twistax[models]`). `solution.show` draws boxes, cylinders, balls, capsules
-    and meshes whose files are found. `mechanism.notes` lists elements of the file that are not used, such as missing
-    meshes or an unknown attribute, and interpretations by convention. Nothing in a file is executed. Meshes are opened
-    when they are drawn; included files of MJCF, and meshes that a mass follows from, when the model is loaded.
+    MJCF is compiled by MuJoCo (`pip install twistax[models]`). `solution.show` draws boxes, cylinders, balls, capsules,
+    and meshes whose files exist. `mechanism.notes` lists parts of the file that are not used, such as missing meshes or
+    unknown attributes, and the conventions that were applied. Nothing in a file is executed. Meshes are opened when
+    they are drawn. Included files of MJCF, and meshes that determine a mass, are opened when the model is loaded.
 
     Masses and inertias are checked. Links that are fixed together count as one body. A moving body whose mass or a
     principal moment is not positive raises an error, because the equations of motion may have no unique solution.
-    `notes` lists non-physical links in a body that does not move, or that is physical as a whole, and bodies with one
+    `notes` lists unphysical links in a body that does not move, or that is physical as a whole, and bodies with one
     principal moment above the sum of the other two, which are frequent in files from identification or CAD.
 
     Args:
-        path: of the file.
-        floating: the root link of URDF moves freely, on a joint "root" ("root (2)" if the file has that name);
-            by default it is at rest. In MJCF the file determines it.
-        parameters: True, or names, of numbers that become Parameters with the file's values: `<link>_mass`,
-            `<link>_center_of_mass` (3,), `<link>_inertia` (3, 3) about it, `<joint>_origin` (3,), `<joint>_axis` (3,),
-            `<joint>_damping`, `<joint>_friction`, of MJCF `<body>_origin` in place of the joint's, and also
-            `<joint>_armature` and `<joint>_stiffness`, without the contribution of its servo. Other values do not
-            recompile. A mass of zero stays zero.
+        path: path of the file.
+        floating: for URDF, whether the root link moves freely, on a joint "root" ("root (2)" if the file has that
+            name); by default it is fixed. In MJCF the file determines it.
+        parameters: True, or names, of the numbers that become Parameters with the file's values: `<link>_mass`,
+            `<link>_center_of_mass` (3,), `<link>_inertia` (3, 3) about the centre of mass, `<joint>_origin` (3,),
+            `<joint>_axis` (3,), `<joint>_damping`, `<joint>_friction`. For MJCF, `<body>_origin` replaces that of the
+            joint, and there are also `<joint>_armature` and `<joint>_stiffness`, without the contribution of a servo.
+            Other values of Parameters do not recompile. A mass of zero remains a number.
         keep: names of fixed joints that are not merged, as for `Mechanism`.
         gravity: (3,), m/s2, in the base's axes; by default that of the file, or 9.81 downwards along z.
         physical: True raises an error for every moving body that is not physical, False accepts all masses and
@@ -57,8 +57,8 @@ def load(
         quarter_turns: tolerance, rad, within which angles of origins are rounded to a multiple of a quarter turn,
             because files write 1.57079632679. In MJCF it applies to entries of rotation matrices. Zero disables
             rounding.
-        within: a folder that contains the file. Other files are opened in this folder or below, after symbolic links
-            are resolved; by default the folder of the file.
+        within: a folder that contains the file. Other files are opened only in this folder or below it, after symbolic
+            links are resolved; by default the folder of the file.
     Raises: ModelError with file, line and element.
 
     Example:

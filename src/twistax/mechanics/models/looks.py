@@ -1,4 +1,5 @@
-"""Shapes of links from the boxes, cylinders, balls, capsules and meshes of a file. What cannot be drawn is noted.
+"""Shapes of links from the boxes, cylinders, balls, capsules and meshes of a file. Shapes that cannot be drawn are
+noted.
 
 Source: the pages of http://wiki.ros.org/urdf/XML/link and https://mujoco.readthedocs.io, body/geom.
 """
@@ -21,19 +22,21 @@ from ..arguments import matrix
 from .mjcf_file import DrawnMesh
 from .xml_file import Element
 
-#: The last of MuJoCo's groups of geoms that its viewer draws by default.
+#: The last of the groups of geoms that MuJoCo's viewer draws by default.
 _SHOWN = 2
 
 
 class UrdfLooks:
-    """The shapes of the links of a robot: those of <visual>, or if none of them can be drawn those of <collision>.
+    """The shapes of the links of a robot: those of <visual>, or those of <collision> if none of the former can be
+    drawn.
 
     Args:
-        robot: the root element; its materials are known by name.
-        placed: the rotation and position that an <origin> says.
-        folder: where the file is; `within`: the folder that meshes may be in. Meshes are read when they are drawn.
+        robot: the root element, whose materials are referenced by name.
+        placed: a function that returns the rotation and position of an <origin>.
+        folder, within: the folder of the file, and the folder in which meshes may be. Meshes are read when they are
+            drawn.
     Attributes:
-        notes: what of <visual> is not drawn.
+        notes: the parts of <visual> that are not drawn.
     """
 
     def __init__(
@@ -54,13 +57,13 @@ class UrdfLooks:
 
     @property
     def notes(self) -> list[str]:
-        """What was not drawn, with counts."""
+        """The shapes that are not drawn, with counts."""
         return [f"{what}, {count} times" for what, count in sorted(self._left_out.items())]
 
     def of(self, link: Element) -> tuple[Shape, ...]:
         """The shapes in the axes of the link."""
         shown = [shape for visual in link.all("visual") for shape in self._shape(visual)]
-        # Where looks are meshes, what a link touches with is often simple.
+        # If visual shapes are meshes, collision shapes are often simple.
         return tuple(shown or [shape for solid in link.all("collision") for shape in self._shape(solid)])
 
     def _shape(self, element: Element) -> list[Shape]:
@@ -91,9 +94,10 @@ class UrdfLooks:
         return []
 
     def _file(self, name: str) -> Path | None:
-        """The file of a mesh; None if it is not there, or outside of the folder that may be read.
+        """The file of a mesh; None if it does not exist, or is outside of the folder in which files may be read.
 
-        `package://NAME/PATH` is PATH in a folder NAME about the model, or beside it: no path of ROS is known here.
+        `package://NAME/PATH` is PATH in a folder NAME that contains the model or is next to it; the paths of ROS
+        packages are not known here.
         """
         rest = re.sub(r"^(package|file|model)://", "", name)
         inner = rest.partition("/")[2]
@@ -112,7 +116,7 @@ class UrdfLooks:
 def _color_of(color: Element) -> tuple[Color, float]:
     try:
         return _painted(color.numbers("rgba", 4))
-    except TwistaxError:  # what a file's colours are not shall not keep anybody from its masses
+    except TwistaxError:  # invalid colours must not prevent reading the masses
         return STEEL, 1.0
 
 
@@ -124,14 +128,14 @@ def _painted(rgba: Any) -> tuple[Color, float]:
 def looks_of_mjcf(
     model: Any, mujoco: Any, rotation: Callable[[Any], NDArray[np.float64]], drawn: Mapping[int, DrawnMesh]
 ) -> tuple[dict[int, tuple[Shape, ...]], int]:
-    """The shapes of every body, by its number and in its axes: those that MuJoCo draws, or else the hidden ones.
+    """The shapes of every body, by its index and in its axes: those that MuJoCo draws, or else the hidden ones.
 
     Args:
         model: a `mujoco.MjModel`.
         rotation: the matrix of a quaternion.
-        drawn: meshes in place of geoms, by number; their files are read when they are drawn.
+        drawn: the meshes that replace geoms, by the index of the geom; their files are read when they are drawn.
     Returns:
-        the shapes, and how many geoms have none: planes and height fields.
+        the shapes, and the number of geoms without a shape: planes and height fields.
     """
     kinds, left_out = mujoco.mjtGeom, 0
     known: dict[int, Callable[..., Shape]] = {

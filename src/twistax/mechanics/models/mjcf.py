@@ -1,11 +1,12 @@
-"""Mechanisms from MJCF, as MuJoCo's compiler understands it.
+"""Mechanisms from MJCF, by MuJoCo's compiler.
 
-A body's joints follow each other. With T the body's pose in its parent, p_i the shift to the anchor of a joint and J_i
-its motion, the body is at
+The joints of a body are in series. With T the body's pose in its parent, p_i the translation to the anchor of a joint
+and J_i its motion, the body is at
 
     T p_1 J_1(q_1 - ref_1) p_1^-1 p_2 J_2(q_2 - ref_2) p_2^-1 ...
 
-Here each joint carries a link of its own, and the body's frame is fixed to the last. Positions mean what MuJoCo's do.
+Here each joint has a separate link, and the body's frame is fixed to the last one. Positions have the same meaning as
+in MuJoCo.
 
 Source: the pages of https://mujoco.readthedocs.io, modeling and computation.
 """
@@ -40,7 +41,7 @@ _UNIT = np.eye(4)
 
 @dataclasses.dataclass(frozen=True)
 class _Servo:
-    """What an actuator puts on its joint: gear u - stiffness q + offset - damping q', and a rotor."""
+    """The force of an actuator on its joint: gear u - stiffness q + offset - damping q', and a rotor."""
 
     gear: float = 1.0
     stiffness: float = 0.0
@@ -56,8 +57,8 @@ class Mjcf:
     Args:
         root: the element <mujoco>.
         choices: which numbers become Parameters.
-        folder: where included files and meshes may be.
-        quarter_turns: rotations this near to ones by quarter turns, in each entry, are taken as those.
+        folder: the folder in which included files and meshes may be.
+        quarter_turns: rotations whose entries differ by at most this from those of quarter turns are rounded.
     Attributes:
         links, base, gravity, driven, notes, shapes, loops: for `Mechanism`.
     Raises: ModelError with file and line.
@@ -141,7 +142,7 @@ class Mjcf:
             self._add_frame(self.model.site(i).name, Place.of_site(self.model, i))
 
     def _add_frame(self, wanted: str, place: Place) -> str:
-        """A frame at a place, and its name."""
+        """A frame at a pose, and its name."""
         name = free_name(wanted, self._taken)
         self._taken.add(name)
         T = matrix(self._rotation(place.quaternion), place.position)
@@ -157,13 +158,13 @@ class Mjcf:
         self.mujoco.mju_quat2Mat(R, np.asarray(quaternion, dtype=np.float64))
         near = np.round(R)
         exact = np.abs(R - near).max() <= self.quarter_turns
-        # What is smaller than round-off is taken as none.
+        # Values below round-off count as zero.
         return (near if exact else np.where(np.abs(R) < 1e-15, 0.0, R)).reshape(3, 3) + 0.0
 
     # ---- joints ------------------------------------------------------------------------------------------------------
 
     def _joint(self, j: int) -> tuple[Joint, NDArray[np.float64], NDArray[np.float64]]:
-        """The joint, its place in the frame that the body has so far, and that frame afterwards in the joint's."""
+        """The joint, its pose in the body's current frame, and the next frame in the joint's frame."""
         kinds, model, name = self.mujoco.mjtJoint, self.model, self._name("joint", j)
         kind, axis, anchor = model.jnt_type[j], np.array(model.jnt_axis[j]), np.array(model.jnt_pos[j])
         if kind == kinds.mjJNT_FREE:
@@ -180,7 +181,9 @@ class Mjcf:
         return Revolute(name, chosen), _shift(anchor) @ back, _shift(-anchor)
 
     def _single(self, j: int) -> bool:
-        """Whether a joint is a slide or a hinge. (An enumeration of MuJoCo equals numbers, numbers do not equal it.)"""
+        """Whether a joint is a slide or a hinge. (Members of MuJoCo's enumerations equal numbers, but numbers do not
+        equal them.)
+        """
         kinds = self.mujoco.mjtJoint
         return int(self.model.jnt_type[j]) in (int(kinds.mjJNT_SLIDE), int(kinds.mjJNT_HINGE))
 
@@ -210,7 +213,7 @@ class Mjcf:
     # ---- actuators ---------------------------------------------------------------------------------------------------
 
     def _actuators(self) -> dict[int, _Servo]:
-        """For each joint the actuator whose control becomes that of the joint."""
+        """For each joint, the actuator whose control is that of the joint."""
         model, servos = self.model, dict[int, _Servo]()
         for a in range(model.nu):
             j = int(model.actuator_trnid[a, 0])
@@ -226,7 +229,7 @@ class Mjcf:
                 self.notes.append(f"{what}: its joint has another one, whose control is used")
             elif single:
                 servos[j] = self._servo(a, j)
-                # MuJoCo has delays from its version 4 on.
+                # MuJoCo has actuator delays since version 4.
                 if delay := float(getattr(model, "actuator_delay", np.zeros(model.nu))[a]):
                     self.notes.append(f"{what}: the delay of its control, {delay:g} s")
             else:
@@ -248,7 +251,7 @@ class Mjcf:
         )
 
     def _servo(self, a: int, j: int) -> _Servo:
-        """Force of the joint: g (k u + b_0 + b_1 g q + b_2 g q'), with the gear g and the gain k."""
+        """The joint force g (k u + b_0 + b_1 g q + b_2 g q'), with the gear g and the gain k."""
         model, what = self.model, self._actuator(a)
         g, k = float(model.actuator_gear[a, 0]), float(model.actuator_gainprm[a, 0])
         bias = np.zeros(3)
@@ -287,7 +290,7 @@ class Mjcf:
         model, kinds = self.model, self.mujoco.mjtJoint
         ball, free = (model.jnt_type == int(kind) for kind in (kinds.mjJNT_BALL, kinds.mjJNT_FREE))
         at = model.jnt_dofadr
-        yields = getattr(model, "jnt_springyield", np.zeros(model.njnt)) != 0.0  # from version 4 on
+        yields = getattr(model, "jnt_springyield", np.zeros(model.njnt)) != 0.0  # since version 4
         curved = model.jnt_stiffnesspoly.any(axis=1) | model.dof_dampingpoly[at].any(axis=1)
         counted = (
             ("contacts of geoms", int(((model.geom_contype | model.geom_conaffinity) != 0).sum())),

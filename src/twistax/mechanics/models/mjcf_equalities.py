@@ -1,11 +1,11 @@
-"""The equalities of MJCF: joints that follow others, and closures of the tree.
+"""The equalities of MJCF: mimic joints and loop constraints.
 
-MuJoCo holds them by stiff springs (solref, solimp), here they are exact. A linear relation of two joints
+MuJoCo enforces them by stiff springs (solref, solimp); here they are exact. A linear relation of two joints
 
     q_1 - ref_1 = c_0 + c_1 (q_2 - ref_2)
 
-makes the first a follower of the second, and so of what the second follows. `connect` is a `PointLoop`, `weld` a
-`PoseLoop`. What is left is noted.
+makes the first one mimic the second, or the joint that the second one mimics. `connect` becomes a `PointLoop`, `weld` a
+`PoseLoop`. Other equalities are noted.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _STRAIGHT = np.array([1.0, 0.0, 0.0, 0.0])
 
 @dataclasses.dataclass(frozen=True)
 class Place:
-    """A frame on a body: where its origin is, and the quaternion of its axes."""
+    """A frame on a body: its origin, and the quaternion of its axes."""
 
     body: int
     position: NDArray[np.float64]
@@ -38,7 +38,7 @@ class Place:
 
 @dataclasses.dataclass(frozen=True)
 class Closure:
-    """A closure between two places."""
+    """A loop constraint between two frames."""
 
     name: str
     kind: Callable[[str, str, str], Loop]
@@ -47,7 +47,7 @@ class Closure:
 
 @dataclasses.dataclass(frozen=True)
 class _Led:
-    """The position of a joint: ratio times that of its leader, plus offset."""
+    """The position of a joint: ratio times that of its leading joint, plus offset."""
 
     leader: int
     ratio: float = 1.0
@@ -55,17 +55,17 @@ class _Led:
 
 
 class Equalities:
-    """The equality constraints of an MJCF model as mimic joints and closures.
+    """The equality constraints of an MJCF model as mimic joints and loop constraints.
 
     Args:
-        mujoco: the module.
+        mujoco: the module `mujoco`.
         model: the compiled model.
-        name: of ("joint" or "body", its number).
-        driven: the joints with actuators: they lead rather than follow.
+        name: a function from ("joint" or "body", index) to the name.
+        driven: the joints with actuators, which should lead and not mimic.
     Attributes:
-        followers: by joint what it follows.
-        closures: between frames of bodies that move against each other.
-        notes: those that are neither.
+        followers: by joint, the joint that it mimics.
+        closures: loop constraints between frames of bodies that move relative to each other.
+        notes: equalities that are neither.
     """
 
     def __init__(self, mujoco: Any, model: Any, name: Callable[[str, int], str], driven: set[int]) -> None:
@@ -93,7 +93,7 @@ class Equalities:
         return self._model.equality(e).name or f"equality_{e}"
 
     def _follow(self, e: int, what: str) -> None:
-        """Apply a linear relation of two joints: one of their leaders follows the other from now on."""
+        """Apply a linear relation of two joints: one of their leading joints now mimics the other."""
         model = self._model
         first, second = int(model.eq_obj1id[e]), int(model.eq_obj2id[e])
         shift, ratio, *more = (float(c) for c in model.eq_data[e, :5])
@@ -105,7 +105,7 @@ class Equalities:
         if one.leader == two.leader:
             self.notes.append(f"{what}, whose joints are related by others already")
             return
-        # With the leaders' positions Q the relation is a Q_1 = b Q_2 + c.
+        # In terms of the positions Q of the leading joints, the relation is a Q_1 = b Q_2 + c.
         a, b = one.ratio, ratio * two.ratio
         c = place[0] - one.offset + shift + ratio * (two.offset - place[1])
         follower, leader = one.leader, two.leader
@@ -125,7 +125,7 @@ class Equalities:
         data = np.array(model.eq_data[e], dtype=np.float64)
         if int(model.eq_objtype[e]) == int(kinds.mjtObj.mjOBJ_SITE):
             places = Place.of_site(model, one), Place.of_site(model, two)
-        elif weld:  # the anchor in the second body, then the second body in the first
+        elif weld:  # the anchor in the second body, then the pose of the second body in the first
             places = Place(one, data[3:6], data[6:10]), Place(two, data[:3], _STRAIGHT)
         else:
             places = Place(one, data[:3], _STRAIGHT), Place(two, data[3:6], _STRAIGHT)
@@ -135,5 +135,5 @@ class Equalities:
             self.closures.append(Closure(self._called(e), PoseLoop if weld else PointLoop, places))
 
     def _carrier(self, body: int) -> int:
-        """The body to which it is fixed."""
+        """The moving body to which a body is fixed."""
         return int(self._model.body_weldid[body])

@@ -1,7 +1,7 @@
-"""MJCF by MuJoCo's own compiler: what it may open is decided here, and what it refuses is said with file and line.
+"""MJCF by MuJoCo's compiler: the files that it may open are restricted, and its errors are reported with file and line.
 
-The file is parsed by `read_xml` first, so nothing in it expands. Included files are put in place, each from the folder
-of the model or below it. What could run code or open files that are not looked at is refused.
+The file is first parsed by `read_xml`, so entities are not expanded. Included files are inserted; they must be in the
+folder of the model or below it. Content that could run code, or open files that are not checked, is refused.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ...errors import ModelError
 from .xml_file import Element, read_xml
 
-#: Elements that are refused, and why.
+#: Elements that are refused, with the reasons.
 _REFUSED = {
     "extension": "plugins run code of their own",
     "plugin": "plugins run code of their own",
@@ -30,12 +30,12 @@ _REFUSED = {
     "flexcomp": "deformable bodies are not read",
     "flex": "deformable bodies are not read",
 }
-#: Of elements within elements: all that goes through them calls itself.
+#: The maximal nesting depth of elements, which are processed recursively.
 _DEEPEST = 200
 
 
 def compiler(element: Element) -> Any:
-    """The module `mujoco`. Raises ModelError where it is not installed."""
+    """The module `mujoco`. Raises ModelError if it is not installed."""
     try:
         import mujoco
     except ImportError:
@@ -45,20 +45,20 @@ def compiler(element: Element) -> Any:
     return mujoco
 
 
-#: Formats of meshes that are drawn, and that MuJoCo reads too.
+#: Formats of meshes that can be drawn, and that MuJoCo also reads.
 _DRAWN = {".stl", ".obj"}
-#: The radius of the sphere in place of a mesh that is only drawn, m.
+#: The radius of the sphere that replaces a mesh that is only drawn, m.
 _TINY = 1e-6
 
 
 @dataclasses.dataclass(frozen=True)
 class DrawnMesh:
-    """A mesh that affects no mass, which stays in its file until it is drawn.
+    """A mesh that does not affect any mass; its file is read when it is drawn.
 
     Attributes:
-        path: of the file.
+        path: path of the file.
         scale: factors of its coordinates.
-        offset: (4, 4), its axes in those of the geom.
+        offset: pose (4, 4) of its axes in those of the geom.
     """
 
     path: Path
@@ -71,12 +71,12 @@ class Compiled:
 
     Args:
         root: the element <mujoco>.
-        folder: where included files and meshes may be; that of the file is in it.
+        folder: the folder in which included files and meshes may be; it contains the file.
     Attributes:
         model: the `mujoco.MjModel`.
         warnings: MuJoCo's.
-        left_out: how many of each kind were taken out before compiling, by kind.
-        drawn: meshes that are only drawn, by the number of a tiny sphere of zero mass in the place of the geom.
+        left_out: the number of elements that were removed before compiling, by kind.
+        drawn: meshes that are only drawn, by the index of the tiny massless sphere that replaces the geom.
     Raises: ModelError with file, line and element.
     """
 
@@ -103,7 +103,7 @@ class Compiled:
         self.warnings = [f"MuJoCo warns: {str(warning.message).strip()}" for warning in caught]
 
     def _with_included(self, element: Element, depth: int = 0) -> Element:
-        """The element with included files in place. Raises ModelError for a file that may not be read."""
+        """The element with included files inserted. Raises ModelError for a file that must not be read."""
         if element.tag in _REFUSED and (element.tag != "model" or "file" in element.attributes):
             raise element.wrong(_REFUSED[element.tag])
         if depth > _DEEPEST:
@@ -113,7 +113,7 @@ class Compiled:
                 raise element.wrong(f"expected finite numbers in {name}, got {value!r}")
         children = list[Element]()
         for child in element.children:
-            # Sizes are of memory for users and of simulations: the dynamics need none.
+            # Memory sizes concern users and simulations; the dynamics need none.
             if child.tag == "size":
                 continue
             if child.tag != "include":
@@ -128,45 +128,47 @@ class Compiled:
         return element
 
     def element(self, tag: str, name: str) -> Element:
-        """The element of a tag with a name; the root where there is none."""
+        """The element with a tag and a name; the root if there is none."""
         named = (e for e in self._elements if e.tag == tag and name and e.attributes.get("name") == name)
         return next(named, self._root)
 
     def _inside(self, element: Element, name: str, start: str = "") -> Path:
-        """The path of a file that an element names, links followed. Raises ModelError for one that may not be read."""
+        """The path of a file that an element names, after symbolic links are resolved. Raises ModelError for a file
+        that must not be read.
+        """
         try:
             path = (self._folder / start / name).resolve()
-        except (OSError, RuntimeError, ValueError) as error:  # a circle of links, a null character
+        except (OSError, RuntimeError, ValueError) as error:  # a cycle of links, or a null character
             raise element.wrong(f"{name!r} is not a path of a file: {error}") from None
         if not path.is_relative_to(self._within):
             common = Path(os.path.commonpath([path, self._within]))
             raise element.wrong(
                 f"the file {name!r} lies outside of the folder {self._within.name!r}, in which files are read.\n"
-                f"  fix: load(..., within={str(common)!r}) where all files in that folder may be read, or move the file"
+                f"  fix: load(..., within={str(common)!r}) if all files in that folder may be read, or move the file"
             )
         return path
 
     def _written(self, element: Element) -> str:
-        """The text of an element. Every element begins a line, whose number is its place in a list."""
+        """The text of an element. Every element begins a new line, whose number is the element's index in a list."""
         self._elements.append(element)
         head = " ".join([element.tag, *(f"{name}={quoteattr(value)}" for name, value in element.attributes.items())])
         inner = "".join(self._written(child) for child in element.children)
         return f"<{head}>\n{inner.removesuffix(chr(10))}</{element.tag}>\n" if inner else f"<{head}/>\n"
 
     def _said(self, message: str) -> ModelError:
-        """An error with MuJoCo's message and the place in the file."""
+        """An error with MuJoCo's message and the location in the file."""
         at = re.search(r"line (\d+)", message)
         element = self._elements[int(at[1]) - 1] if at else self._about(message)
         return element.wrong(re.sub(r"^(XML )?Error:\s*", "", message.strip()).splitlines()[0])
 
     def _about(self, text: str) -> Element:
-        """The element whose file is named in a text, the longest name if there are several."""
+        """The element whose file a text names, the one with the longest name if there are several."""
         names = [(element.attributes.get("file", ""), element) for element in self._elements]
         inside = [(len(name), element) for name, element in (*names, *self._opened.items()) if name and name in text]
         return max(inside, key=lambda pair: pair[0], default=(0, self._root))[1]
 
     def _lighten(self, spec: Any, mujoco: Any, drawn: list[tuple[Any, DrawnMesh]]) -> None:
-        """Remove what does not affect the dynamics, so that its meshes need not exist."""
+        """Remove elements that do not affect the dynamics, so that their meshes need not exist."""
         for kind, elements in (
             ("sensors", spec.sensors),
             ("keyframes", spec.keys),
@@ -187,13 +189,13 @@ class Compiled:
         for mesh in list(spec.meshes):
             if mesh.name not in needed:
                 spec.delete(mesh)
-            elif mesh.file:  # what is looked at is what is opened
+            elif mesh.file:  # the resolved path is the one that is opened
                 element = self._about(mesh.file)
                 mesh.file = str(self._inside(element, mesh.file, spec.meshdir or ""))
                 self._opened[mesh.file] = element
         for named in [*spec.geoms, *spec.sites]:
             material = spec.material(named.material) if named.material else None
-            if material is not None:  # it is gone when geoms are drawn
+            if material is not None:  # the element is removed before geoms are drawn
                 named.rgba = material.rgba
             named.material = ""
         for asset in [*spec.materials, *spec.textures, *spec.hfields]:
@@ -204,7 +206,7 @@ class Compiled:
     ) -> None:
         """Remove geoms that refer to files, except those that determine the mass of a moving body.
 
-        A tiny sphere takes the place of a mesh that can be drawn, so that MuJoCo resolves its pose without its file.
+        A tiny sphere replaces a mesh that can be drawn, so that MuJoCo computes its pose without its file.
         """
         by_geoms = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
         first, last = spec.compiler.inertiagrouprange
@@ -224,7 +226,7 @@ class Compiled:
             self._without_shapes(spec, mujoco, child, is_moving, needed, drawn)
 
     def _drawn_mesh(self, spec: Any, mujoco: Any, name: str) -> DrawnMesh | None:
-        """A mesh in a file that may be read, is there, and is in a format that can be drawn; else None."""
+        """A mesh whose file may be read, exists, and has a format that can be drawn; else None."""
         mesh = spec.mesh(name)
         if mesh is None or Path(mesh.file).suffix.lower() not in _DRAWN:
             return None
@@ -232,7 +234,7 @@ class Compiled:
             path = self._inside(self._about(mesh.file), mesh.file, spec.meshdir or "")
         except ModelError:
             return None
-        # MuJoCo moves corners by -refpos, rotates them by the inverse of refquat and scales them, in this order.
+        # MuJoCo translates vertices by -refpos, rotates them by the inverse of refquat and scales them, in this order.
         scale, entries = np.array(mesh.scale), np.zeros(9)
         mujoco.mju_quat2Mat(entries, np.array(mesh.refquat) / np.linalg.norm(mesh.refquat))
         inverse = entries.reshape(3, 3).T

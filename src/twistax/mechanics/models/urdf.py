@@ -1,7 +1,7 @@
 """Mechanisms from URDF.
 
-Source: the pages of http://wiki.ros.org/urdf/XML. Roll, pitch and yaw are turns about the
-parent's fixed x, y and z axes: R = Rot_z(yaw) Rot_y(pitch) Rot_x(roll).
+Source: the pages of http://wiki.ros.org/urdf/XML. Roll, pitch and yaw are rotations about the parent's fixed x, y and z
+axes: R = Rot_z(yaw) Rot_y(pitch) Rot_x(roll).
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ class Urdf:
     Args:
         robot: the root element.
         choices: which numbers become Parameters.
-        floating: the root is on a `Free` joint, "root".
-        quarter_turns: an angle this near to a multiple of a quarter turn, in rad, is taken as that.
+        floating: whether the root is on a `Free` joint, "root".
+        quarter_turns: an angle that differs from a multiple of a quarter turn by at most this, in rad, is rounded.
     Attributes:
         links, base, gravity, driven, notes, shapes, loops: for `Mechanism`.
     Raises: ModelError with file and line.
@@ -55,7 +55,7 @@ class Urdf:
         choices.length = self._length(robot)
         self._looks = UrdfLooks(robot, self._placed, robot.path.resolve().parent, folder)
         root = tree.links[tree.root]
-        alone = not tree.joints  # then the root is what the mechanism consists of
+        alone = not tree.joints  # in this case the mechanism consists of the root link
         self.base = free_name("world", tree.links) if floating or alone else tree.root
         self.shapes = () if floating or alone else self._looks.of(root)
         self.links = list[Link]()
@@ -76,13 +76,13 @@ class Urdf:
         return Link(kind(name), self._body(root), np.eye(4), name=self._tree.root, shapes=self._looks.of(root))
 
     def _length(self, robot: Element) -> float:
-        """The largest distance of a joint or a centre of mass from the frame in which it is given, m; 1 without any."""
+        """The largest distance of a joint or a centre of mass from its reference frame, m; 1 if there is none."""
         inertials = [inertial for link in robot.all("link") for inertial in link.all("inertial")]
         origins = [element.first("origin") for element in (*robot.all("joint"), *inertials)]
         return max((float(np.linalg.norm(self._placed(origin)[1])) for origin in origins), default=0.0) or 1.0
 
     def _links(self, element: Element, root: str | None) -> list[Link]:
-        """The link that a joint carries, for a planar joint with a link without mass before it."""
+        """The link that a joint carries; for a planar joint, preceded by a massless link."""
         parent, child = self._tree.end(element, "parent"), self._tree.links[self._tree.end(element, "child")]
         try:
             joint, turned = self._joint(element)
@@ -100,7 +100,7 @@ class Urdf:
             raise error if str(error).startswith(element.path.name) else element.wrong(str(error)) from None
         if turned is None:
             return [link]
-        # The joint's own z axis is not that of the link.
+        # The z axis of the joint is not that of the link.
         C = matrix(turned, np.zeros(3))
         plane = free_name(f"{link.name} in its plane", self._names)
         self._names.add(plane)
@@ -177,7 +177,7 @@ class Urdf:
         return Drive(**numbers, **({} if limit is None else self._limits_of(element, limit)))
 
     def _limits_of(self, element: Element, limit: Element) -> dict[str, float]:
-        """The limits of a joint. Limits that stand for "no limit" are noted."""
+        """The limits of a joint. Values that represent "no limit" are noted."""
         name, kind = element.text("name"), element.text("type")
         numbers = dict[str, float]()
         for what, attribute in (("speed", "velocity"), ("effort", "effort")):
@@ -195,6 +195,6 @@ class Urdf:
         if lower > upper:
             self._remarks["lower above upper, which by convention stands for no limits, of joints"].append(name)
             return numbers
-        # The largest number stands for no limit, see `to_urdf`.
+        # The largest number represents no limit, see `to_urdf`.
         bounds = {"lower": lower, "upper": upper}
         return numbers | {what: bound for what, bound in bounds.items() if abs(bound) < UNLIMITED}

@@ -1,4 +1,4 @@
-"""The tree of a robot in URDF: which joint carries which link, and which joint follows which."""
+"""The tree of a robot in URDF: which link each joint carries, and which joint it mimics."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from ...checks import listed
 from ..tree import Mimic
 from .xml_file import Element
 
-#: The types of joints with one freedom.
+#: The types of joints with one degree of freedom.
 SINGLE = ("revolute", "continuous", "prismatic")
 
 
@@ -14,13 +14,13 @@ class UrdfTree:
     """The links and joints of a robot.
 
     Args:
-        robot: the root element. Its links have names of their own, and so have its joints.
+        robot: the root element, in which names of links are unique, and also names of joints.
     Attributes:
-        links, joints: the elements by name.
+        links, joints: their elements by name.
         root: the name of the link that no joint carries.
-        followers: by joint the one that it follows, which moves by itself.
-        notes: on joints that follow others which follow.
-    Raises: ModelError with the line of the joint or link, for what is no tree.
+        followers: by joint the independent joint that it mimics.
+        notes: notes on joints that mimic mimic joints.
+    Raises: ModelError with the line of the joint or link, if the links do not form a tree.
     """
 
     def __init__(self, robot: Element) -> None:
@@ -34,7 +34,9 @@ class UrdfTree:
             for end in ("parent", "child"):
                 if self.end(joint, end) not in self.links:
                     name = self.end(joint, end)
-                    raise joint.wrong(f"there is no link {name!r}, its {end}; links are {listed(self.links, name)}")
+                    raise joint.wrong(
+                        f"there is no link {name!r}, the {end} of this joint; links are {listed(self.links, name)}"
+                    )
             before = carriers.setdefault(self.end(joint, "child"), joint)
             if before is not joint:
                 raise joint.wrong(
@@ -46,7 +48,7 @@ class UrdfTree:
 
     @staticmethod
     def end(joint: Element, which: str) -> str:
-        """The name of the link at the end `which`, "parent" or "child". Raises ModelError."""
+        """The name of the link at the end `which`, "parent" or "child". Raises ModelError if it does not exist."""
         end = joint.first(which)
         if end is None:
             raise joint.wrong(f"expected <{which} link=...>")
@@ -75,7 +77,7 @@ class UrdfTree:
         return joint.first("mimic") is not None and joint.text("type") != "fixed"
 
     def _mimic(self, joint: Element) -> Mimic:
-        """What a joint follows, through joints that follow others. Raises ModelError."""
+        """The joint that a joint mimics, through a chain of mimic joints. Raises ModelError for an invalid chain."""
         chain, ratio, offset = [joint.text("name")], 1.0, 0.0
         leader = joint
         while self._follows(leader):
@@ -84,17 +86,18 @@ class UrdfTree:
             ratio, offset = ratio * mimic.number("multiplier", 1.0), offset + ratio * mimic.number("offset", 0.0)
             name = mimic.text("joint")
             if name not in self.joints:
-                raise joint.wrong(f"it follows {name!r}, and there is no joint of that name: {self._singles(name)}")
+                raise joint.wrong(f"it mimics {name!r}, but there is no joint of that name: {self._singles(name)}")
             leader = self.joints[name]
             if leader.text("type") not in SINGLE:
                 raise joint.wrong(
-                    f"it follows {name!r}, which is {leader.text('type')} and has not one freedom: {self._singles()}"
+                    f"it mimics {name!r}, whose type {leader.text('type')} does not have one degree of "
+                    f"freedom: {self._singles()}"
                 )
             if name in chain:
-                raise joint.wrong(f"the joints {listed(chain)} form a cycle")
+                raise joint.wrong(f"the mimic joints {listed(chain)} form a cycle")
             chain.append(name)
         if joint.text("type") not in SINGLE:
-            raise joint.wrong("a joint that follows another has the type revolute, continuous or prismatic")
+            raise joint.wrong("a mimic joint must have the type revolute, continuous or prismatic")
         if len(chain) > 2:
             line = " -> ".join(map(repr, chain))
             self.notes.append(f"joints that follow in a chain: {line}; here {chain[0]!r} follows {chain[-1]!r}")

@@ -1,6 +1,6 @@
-"""The elements and attributes of URDF, and notes on those of a file that are not used.
+"""The elements and attributes of URDF, and notes on those in a file that are not used.
 
-Source: the pages of http://wiki.ros.org/urdf/XML, and the parser urdfdom for what they leave out.
+Source: the pages of http://wiki.ros.org/urdf/XML, and the parser urdfdom for details that they omit.
 """
 
 from __future__ import annotations
@@ -15,9 +15,10 @@ from .xml_file import Element
 
 @dataclasses.dataclass(frozen=True)
 class _Kind:
-    """What an element may have: attributes, children that come once, and children that come any number of times.
+    """The possible content of an element: attributes, children that occur once, and children that occur any number of
+    times.
 
-    `unused` are children of URDF that the dynamics do not need; nothing in them is looked at.
+    `unused` are children of URDF that the dynamics do not need; their content is ignored.
     """
 
     attributes: str = ""
@@ -52,15 +53,15 @@ _VOCABULARY = {
     "dynamics": _Kind("damping friction"),
     "mimic": _Kind("joint multiplier offset"),
 }
-#: An expression of xacro in an attribute, or a command of it.
+#: An expression of xacro in an attribute, or a xacro command.
 _MACRO = re.compile(r"\$\{|\$\([a-z]+ ")
 
 
 def notes_on(robot: Element) -> list[str]:
-    """What a robot has that is not used: elements and attributes, known or not.
+    """Notes on the elements and attributes of a robot that are not used, known or unknown.
 
-    Raises: ModelError for macros that are not expanded, two links or two joints of one name, and an element that stands
-        twice where URDF has one.
+    Raises: ModelError for macros that are not expanded, for two links or two joints of one name, and for a repeated
+        element that URDF allows once.
     """
     _refuse_macros(robot)
     for kind in ("link", "joint"):
@@ -69,7 +70,7 @@ def notes_on(robot: Element) -> list[str]:
     _look(robot, unused)
     for origin in (o for element in robot.children for o in [element, *element.children] for o in o.all("origin")):
         if "quat_xyzw" in origin.attributes:
-            raise origin.wrong("quat_xyzw is not read.\n  fix: write the rotation as rpy")
+            raise origin.wrong("quat_xyzw is not supported.\n  fix: write the rotation as rpy")
     return [f"{what}: {_lines(lines)}" for what, lines in sorted(unused.items())]
 
 

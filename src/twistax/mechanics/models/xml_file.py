@@ -1,4 +1,4 @@
-"""An XML file as elements that know their lines. Entities and external files are refused."""
+"""An XML file as elements with their line numbers. Entities and external files are refused."""
 
 from __future__ import annotations
 
@@ -14,11 +14,12 @@ import numpy as np
 from ...checks import short
 from ...errors import ModelError
 
-#: A start tag, and a reference in it to an entity that XML does not have by itself.
+#: A start tag that contains a reference to an entity that XML does not predefine.
 _TAG = re.compile(rb"""<(?:[^"'>]|"[^"]*"|'[^']*')*""")
 _NUMBER = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?")
 _ENTITY = re.compile(rb"&(?!amp;|lt;|gt;|quot;|apos;|#)([^;]*);")
-#: What editors leave around a file in UTF-8, and XML does not allow before its declaration or after its end.
+#: Characters that some editors write around a file in UTF-8, and that XML does not allow before its declaration or
+#: after its end.
 _BEFORE = re.compile(rb"\A(?:\xef\xbb\xbf)?[ \t\r\n]+(?:\xef\xbb\xbf)?(?=<)")
 _AFTER = re.compile(rb"\x00+\s*\Z")
 
@@ -28,11 +29,11 @@ class Element:
     """One element.
 
     Attributes:
-        tag, attributes, children: as in the file; `read_xml` may leave out the prefixes of tags.
-        line: where it begins.
-        path: of the file.
-        parent: the element around it; None for the root.
-        content: its own characters, with a space where a child stands.
+        tag, attributes, children: as in the file; `read_xml` may remove the prefixes of tags.
+        line: the line of its start.
+        path: path of the file.
+        parent: the enclosing element; None for the root.
+        content: its text, with a space in place of each child.
     """
 
     tag: str
@@ -45,7 +46,9 @@ class Element:
 
     @property
     def place(self) -> str:
-        """File, line and element for messages; for one without a name also the element around it that has one."""
+        """File, line and element for messages; for an element without a name, also the enclosing
+        element that has one.
+        """
         around = self
         while "name" not in around.attributes and around.parent is not None and around.parent.parent is not None:
             around = around.parent
@@ -59,31 +62,31 @@ class Element:
         return f"<{self.tag}{'' if name is None else f' name={name!r}'}>"
 
     def wrong(self, what: str) -> ModelError:
-        """A ModelError that names the place of the element."""
+        """A ModelError whose message names the location of the element."""
         return ModelError(f"{self.place}: {what}")
 
     def all(self, tag: str) -> list[Element]:
-        """The children of one tag."""
+        """The children with a tag."""
         return [child for child in self.children if child.tag == tag]
 
     def first(self, tag: str) -> Element | None:
         return next(iter(self.all(tag)), None)
 
     def text(self, name: str) -> str:
-        """An attribute that has to be there. Raises ModelError."""
+        """A required attribute. Raises ModelError if it is missing."""
         if name not in self.attributes:
             raise self.wrong(f"expected the attribute {name!r}")
         return self.attributes[name]
 
     def read(self, text: str, what: str = "a finite number") -> float:
-        """The number in a text of the element, in words `what`. Raises ModelError."""
+        """The number in a text of the element, which `what` names in messages. Raises ModelError for other texts."""
         word = text.strip()
         if not (_NUMBER.fullmatch(word) and math.isfinite(float(word))):
             raise self.wrong(f"expected {what}, got {short(word)}")
         return float(word)
 
     def numbers(self, name: str, count: int, default: Any = None) -> np.ndarray:
-        """An attribute as finite numbers (count,). Raises ModelError."""
+        """An attribute as finite numbers (count,). Raises ModelError for other values."""
         if name not in self.attributes and default is not None:
             return np.asarray(default, dtype=np.float64)
         wanted, words = f"{count} finite numbers in {name}", self.text(name).split()
@@ -92,13 +95,13 @@ class Element:
         return np.array([self.read(word, wanted) for word in words])
 
     def number(self, name: str, default: float | None = None) -> float:
-        """An attribute as one finite number. Raises ModelError."""
+        """An attribute as one finite number. Raises ModelError for other values."""
         if name not in self.attributes and default is not None:
             return default
         return self.read(self.text(name), f"a finite number in {name}")
 
     def limits(self, least: str, most: str) -> tuple[float | None, float | None]:
-        """Two attributes that limit a value, None for one that is absent. Raises ModelError if the first is higher."""
+        """Two attributes that limit a value, None for a missing one. Raises ModelError if the first is higher."""
         lower, upper = (self.number(name) if name in self.attributes else None for name in (least, most))
         if lower is not None and upper is not None and lower > upper:
             raise self.wrong(f"{least} {lower:g} is above {most} {upper:g}")
@@ -106,27 +109,27 @@ class Element:
 
     @property
     def values(self) -> np.ndarray:
-        """The numbers in the content, apart by commas or white space. Raises ModelError."""
+        """The numbers in the content, separated by commas or white space. Raises ModelError for other content."""
         return np.array([self.read(word, "finite numbers") for word in self.content.replace(",", " ").split()])
 
 
 def read_xml(path: Path, caller: str = "load", document_type: bool = False, notes: list[str] | None = None) -> Element:
     """The root element of a file.
 
-    White space before the XML declaration and null characters after the end are no XML. They are left out.
+    White space before the XML declaration and null characters after the end, which XML does not allow, are removed.
 
     Args:
-        caller: names who reads in messages.
-        document_type: the file may name a document type, which is not opened, and may give tags prefixes of name
-            spaces, which are left out.
-        notes: gets a line for what was left out before the declaration or after the end.
-    Raises: ModelError for a file that cannot be read, is no XML, or declares a document type or entities.
+        caller: the name of the calling function in messages.
+        document_type: whether the file may declare a document type, which is not opened, and may use name space
+            prefixes in tags, which are removed.
+        notes: receives a note if something before the declaration or after the end was removed.
+    Raises: ModelError for a file that cannot be read, is not XML, or declares a document type or entities.
     """
     try:
         data = path.read_bytes()
     except (OSError, ValueError) as error:  # ValueError: a path with a null character
         why = getattr(error, "strerror", None) or error
-        raise ModelError(f"{caller} expects a file, cannot read {str(path)!r}: {why}") from None
+        raise ModelError(f"{caller} expects a file, but cannot read {str(path)!r}: {why}") from None
     data, skipped = _trimmed(data, path, [] if notes is None else notes)
     parser, open_elements, roots = expat.ParserCreate(), list[Element](), list[Element]()
 
@@ -159,13 +162,16 @@ def read_xml(path: Path, caller: str = "load", document_type: bool = False, note
             "  fix: remove <!DOCTYPE ...>; write out what its entities stand for"
         )
 
-    parser.buffer_text, parser.buffer_size = True, 1 << 20  # else each line of a table is added to the text by itself
+    parser.buffer_text, parser.buffer_size = (
+        True,
+        1 << 20,
+    )  # otherwise each line of a table would be appended to the text separately
     parser.StartElementHandler = start
     parser.EndElementHandler = lambda _: open_elements.pop()
     parser.CharacterDataHandler = characters
     parser.EntityDeclHandler, parser.StartDoctypeDeclHandler = declared, doctype
-    # After a document type that is not opened, expat would drop an entity that it does not know, and does so without a
-    # call in attributes: `start` looks for those.
+    # After a document type that is not opened, expat drops an unknown entity; in attributes it does so without a
+    # callback, so `start` searches for them.
     parser.SkippedEntityHandler = unknown
     try:
         parser.Parse(data, True)
@@ -174,13 +180,13 @@ def read_xml(path: Path, caller: str = "load", document_type: bool = False, note
         raise ModelError(f"{path.name}, line {line}: this is not XML: {expat.ErrorString(error.code)}") from None
     except ModelError:
         raise
-    except (LookupError, ValueError) as error:  # the encoding that it names
+    except (LookupError, ValueError) as error:  # the encoding that the file declares
         raise ModelError(f"{path.name}: this is not XML: {error}") from None
     return roots[0]
 
 
 def _trimmed(data: bytes, path: Path, notes: list[str]) -> tuple[bytes, int]:
-    """A file without what is invisible around its XML, and how many lines went from its beginning."""
+    """A file without invisible characters around its XML, and the number of lines removed from its beginning."""
     before, after = _BEFORE.match(data), _AFTER.search(data)
     if before and data.startswith(b"<?xml", before.end()):
         notes.append(f"white space before the XML declaration of {path.name!r}")

@@ -1,10 +1,11 @@
-"""The errors of a search for positions as arrays: targets of frames, further tasks, and constraints that are broken.
+"""The errors of inverse kinematics as arrays: targets of frames, further tasks, and violated constraints.
 
-With the pose [R p] of a frame and its target [R_d p_d] the error is
+For the pose [R p] of a frame and its target [R_d p_d], the error is
 
     e = [p_d - p; l Log(R^T R_d)]        e' = -J qd
 
-of a position and an orientation. A constraint c(q) <= 0 has the error max(c, 0), which is zero where it holds.
+with the position and the orientation. The error of a constraint c(q) <= 0 is max(c, 0), which is zero if it is
+satisfied.
 
 Source: K. Lynch, F. Park, Modern Robotics (2017), section 6.2, for the error of a pose.
 """
@@ -29,22 +30,22 @@ from ..tasks.task import Task
 
 
 class ReachErrors:
-    """The errors of a search.
+    """The errors of inverse kinematics.
 
     Args:
-        mechanism: without closures.
-        shapes: by frame (4, 4) for a pose, (3,) for a position.
-        length: l, m.
-        tasks: further ones, whose targets are numbers.
-        secondary: tasks that are minimised where all others are done.
+        mechanism: a mechanism without loop constraints.
+        shapes: by frame (4, 4) for a target pose, (3,) for a target position.
+        length: the length l, m, that converts angles.
+        tasks: additional tasks, whose targets are numbers.
+        secondary: tasks that are minimised once all others are satisfied.
         constraints: inequalities of positions.
     Attributes:
-        space: the positions.
+        space: the configuration space.
         blocks: the rows of each position, orientation and task, and of each entry of the constraints.
-        turns: by block whether it is an orientation of a target.
-        size: the number of rows.
-    Raises: ModelError for frames that are not known; a mechanism with closures, or joints on other groups; tasks whose
-        targets are controls.
+        turns: by block whether it is the orientation of a target.
+        size: the total number of rows.
+    Raises: ModelError for unknown frames; a mechanism with loop constraints, or with joints on other groups; tasks
+        whose targets are controls.
     """
 
     def __init__(
@@ -85,7 +86,7 @@ class ReachErrors:
         return bool(self._secondary.tasks)
 
     def __call__(self, x: Arrays, targets: Arrays) -> tuple[jax.Array, jax.Array]:
-        """The errors (m,) and the Jacobian J (m, n): their rate is -J qd."""
+        """The errors e (m,) and the Jacobian J (m, n), with e' = -J qd."""
         e, J = self._weighted(self._tasks, {**x, **{f"target of {frame}": T for frame, T in targets.items()}})
         if self.constraints.expression is None:
             return e, J

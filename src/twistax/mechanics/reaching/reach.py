@@ -1,4 +1,4 @@
-"""Inverse kinematics: positions of the joints at which frames are at targets."""
+"""Inverse kinematics: joint positions for which frames reach their targets."""
 
 from __future__ import annotations
 
@@ -27,17 +27,18 @@ from ..tasks.task import Task
 from .errors import ReachErrors
 from .solver import SearchEnd, SearchOptions, SeededSearch
 
-#: How far a target may be from a pose.
+#: The tolerance of a target's matrix to be a pose.
 _NEARLY = 1e-4
 
 
 class ReachStatus(enum.IntEnum):
-    """The status of a target.
+    """The status of inverse kinematics for one target.
 
-    - `REACHED`: all frames are at their targets, to the tolerances; all tasks are done and all constraints hold.
-    - `LIMIT`: the best seed ended at joint limits; `at_limit` marks these joints.
-    - `UNREACHABLE`: the best seed ended away from joint limits: at a minimum of the distance if `slope` is small, else
-      after all iterations.
+    - `REACHED`: all frames are at their targets within the tolerances, all tasks are satisfied, and all constraints
+    hold.
+    - `LIMIT`: the search from the best seed ended at joint limits; `at_limit` marks these joints.
+    - `UNREACHABLE`: the search from the best seed ended away from joint limits. If `slope` is small, it ended at a
+      minimum of the distance; otherwise it ran out of iterations.
     """
 
     REACHED = 0
@@ -55,19 +56,20 @@ class ReachResult:
     """The result of `reach`, with the leading axes of the targets.
 
     Attributes:
-        x: positions by state, "q" (..., w) and "<joint>_position" on groups, as `tx.integrate` and calls take them.
-        status: (...,), numbers of `ReachStatus`.
-        distance: (..., frames), m: from the origin of each frame to its target.
-        angle: (..., frames), rad: from the axes of each frame to its target; zero for positions.
-        at_limit: (..., n): the freedoms that a limit stops from getting nearer.
-        slope: (...,): $|P J^T e| / (|J| |e|)$, with P the projection on what limits leave. At a local minimum it is
-            zero. It says nothing where the target is reached.
-        minima: (...,): how many seeds ended at a local minimum.
-        seeds: (...,): how many seeds were tried.
-        constraints: (..., k): residuals, at most zero where the constraints hold.
-        frames: names, in the order of the last axis of `distance`.
-        joints: by freedom the name of its joint.
-        constraint_names: of each residual.
+        x: positions by state, "q" (..., w) and "<joint>_position" on groups, in the form that `tx.integrate` reads.
+        status: (...,), the numbers of `ReachStatus`.
+        distance: (..., frames), m: distance from the origin of each frame to its target.
+        angle: (..., frames), rad: angle between the axes of each frame and of its target; zero for targets that are
+            positions.
+        at_limit: (..., n): the degrees of freedom that would reduce the error but are at a limit.
+        slope: (...,): $|P J^T e| / (|J| |e|)$, with P the projection onto the directions that limits permit. It is zero
+            at a local minimum, and meaningless if the target is reached.
+        minima: (...,): the number of seeds that ended at a local minimum.
+        seeds: (...,): the number of seeds that were tried.
+        constraints: (..., k): residuals of the constraints, satisfied if not positive.
+        frames: names of the frames, in the order of the last axis of `distance`.
+        joints: the name of the joint for each degree of freedom.
+        constraint_names: the name of each residual.
     """
 
     x: dict[str, jax.Array]
@@ -84,14 +86,14 @@ class ReachResult:
     constraint_names: tuple[str, ...]
 
     def stopped_by(self, *index: SupportsIndex) -> tuple[str, ...]:
-        """The joints whose limits stop the best seed of one target."""
+        """The joints that would reduce the error for one target but are at a limit, for the best seed."""
         stopped = np.asarray(self.at_limit)
         if len(index) != stopped.ndim - 1 or any(not -n <= i < n for i, n in zip(index, stopped.shape, strict=False)):
             raise InputError(f"stopped_by expects an index into {stopped.shape[:-1]}, got {index}")
         return tuple(dict.fromkeys(self.joints[i] for i in np.flatnonzero(stopped[index])))
 
     def broken(self, *index: SupportsIndex, tolerance: float = 1e-5) -> tuple[str, ...]:
-        """The constraints that the positions for one target violate by more than a tolerance."""
+        """The names of the constraints that the positions for one target violate by more than a tolerance."""
         over = np.flatnonzero(np.asarray(self.constraints[index]) > tolerance)
         return tuple(dict.fromkeys(self.constraint_names[i] for i in over))
 
@@ -112,19 +114,19 @@ def reach(
     angle_tolerance: float = 1e-5,
     iterations: int = 80,
 ) -> ReachResult:
-    """Inverse kinematics within joint limits: joint positions at which frames reach target poses or positions.
+    """Inverse kinematics within joint limits: joint positions for which frames reach target poses or positions.
 
     It minimises $|e|^2$ with $e = [p_d - p; l Log(R^T R_d)]$ of all frames, by damped least squares on the groups,
 
         $d = D J^T (J D J^T + mu 1)^-1 e$
 
-    where D is zero for joints at a limit. It starts from one seed after another until one reaches the target. A seed is
-    the best of some random candidates. All targets run in one kernel. It works under `jit`, `vmap` and `grad`.
-    Derivatives are those of the nearest solution, $dx = J^+ de$, where the target is reached, and zero elsewhere. The
-    random positions are the same in every call.
+    where D is zero for joints at a limit. The search starts from successive seeds until one reaches the target. A seed
+    is the best of some random candidates, which are the same in every call. All targets are computed in one kernel. The
+    function works under `jit`, `vmap` and `grad`. Its derivatives are those of the nearest solution, $dx = J^+ de$, if
+    the target is reached, and zero otherwise.
 
-    Further `tasks` have the priority of the targets, and the error of a constraint $c(q) <= 0$ is $max(c, 0)$. Once all
-    of these are satisfied, steps in their null space reduce the weighted errors of `secondary` tasks, to a local
+    Additional `tasks` have the same priority as the targets. The error of a constraint $c(q) <= 0$ is $max(c, 0)$. Once
+    all of these are satisfied, steps in their null space reduce the weighted errors of `secondary` tasks, to a local
     minimum or until the iterations end.
 
     Source: T. Sugihara, Solvability-Unconcerned Inverse Kinematics by the Levenberg-Marquardt Method, IEEE Transactions
@@ -132,23 +134,23 @@ def reach(
     Strong Local Convergence Properties for Solving Nonlinear Equations with Convex Constraints (2004), for limits.
 
     Args:
-        mechanism: a tree or a chain without closures.
-        targets: by frame, poses (..., 4, 4) or positions (..., 3) in the base; all with the same leading axes. They may
-            be empty where there are tasks.
-        tasks: further ones with targets of numbers, such as `CenterOfMassTask`, `LookAtTask`; done where the weighted
-            error is at most `position_tolerance`.
-        secondary: tasks of the second priority, such as `PostureTask`.
+        mechanism: a tree or a chain without loop constraints.
+        targets: by frame, poses (..., 4, 4) or positions (..., 3) in the base, all with the same leading axes. They may
+            be empty if there are tasks.
+        tasks: additional tasks whose targets are numbers, such as `CenterOfMassTask` or `LookAtTask`; satisfied if the
+            weighted error is at most `position_tolerance`.
+        secondary: tasks of lower priority, such as `PostureTask`.
         constraints: inequalities of positions, such as {"shelf": signed_distance(...) >= 0.02}.
-        start: positions by state that the first seed takes, with the leading axes of the targets or none.
-        seeds: how many seeds are tried for a target.
-        candidates: how many random positions each seed is chosen from.
-        length: l, m: how far a turn of 1 rad counts.
-        position_tolerance, angle_tolerance: m and rad, at which a frame counts as at its target.
-        iterations: of one seed, at most.
+        start: positions by state for the first seed, with the leading axes of the targets or none.
+        seeds: the largest number of seeds for a target.
+        candidates: the number of random positions from which each seed is chosen.
+        length: l, m: a rotation of 1 rad counts as this distance.
+        position_tolerance, angle_tolerance: the tolerances of a frame at its target, m and rad.
+        iterations: the largest number of iterations from one seed.
     Raises:
-        ModelError: a frame that is not known; closures; joints on other groups than SO(3) and SE(3); a mechanism in
-            which nothing moves; tasks whose targets are Controls; constraints that are no inequalities of positions.
-        InputError: targets or start of other shapes, or not finite; numbers out of their range.
+        ModelError: an unknown frame; loop constraints; joints on other groups than SO(3) and SE(3); a mechanism without
+            moving joints; tasks whose targets are Controls; constraints that are not inequalities of positions.
+        InputError: targets or a start of the wrong shape, or not finite; numbers out of their range.
 
     Example:
         `reach(arm, {"flange": tx.pose(position=[0.4, 0.1, 0.5])}).x["q"]`
@@ -175,13 +177,13 @@ def reach(
 def _targets(
     mechanism: KinematicTree, targets: Mapping[str, Any], may_be_empty: bool
 ) -> tuple[Arrays, tuple[int, ...]]:
-    """The targets (count, ...), and their leading axes. Raises InputError."""
+    """The targets (count, ...), and their leading axes. Raises InputError for invalid targets."""
     if not isinstance(targets, Mapping) or not (targets or may_be_empty):
         raise InputError(f"reach expects targets by the names of frames, got {short(targets)}")
     arrays, leading = Arrays(), dict[str, tuple[int, ...]]()
     for frame, value in targets.items():
         mechanism.frame(frame)
-        real_array(f"reach: the target of {frame!r}", value)  # refuses what is no real number
+        real_array(f"reach: the target of {frame!r}", value)  # raises an error for values that are not real numbers
         T = jnp.asarray(value)
         if not jnp.issubdtype(T.dtype, jnp.floating) or T.dtype.itemsize < 4:
             T = T.astype(np.float32 if jnp.issubdtype(T.dtype, jnp.floating) else float)
@@ -198,10 +200,10 @@ def _targets(
 
 
 def _check(frame: str, T: np.ndarray) -> None:
-    """Raise InputError for targets that are not finite, or no poses."""
+    """Raise InputError for targets that are not finite, or that are not poses."""
     if not np.isfinite(T).all():
         finite = np.isfinite(T).reshape(len(T), -1).all(axis=1)
-        raise InputError(f"reach expects finite targets, got for {frame!r}\n{T[~finite][0]}")
+        raise InputError(f"reach expects finite targets, got as target of {frame!r}\n{T[~finite][0]}")
     if T.ndim == 3 and len(T):
         R = T[:, :3, :3]
         off = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)[None]).max(axis=(1, 2)) + np.abs(np.linalg.det(R) - 1.0)
@@ -214,7 +216,7 @@ def _check(frame: str, T: np.ndarray) -> None:
 
 
 def _start(space: ConfigurationSpace, start: Mapping[str, Any], leading: tuple[int, ...]) -> Arrays:
-    """The first seed of each target. Raises InputError."""
+    """The first seed of each target. Raises InputError for an invalid start."""
     if set(start) != set(space.names):
         raise InputError(f"reach: start expects {listed(space.names)}, got {listed(start)}")
     count, arrays = math.prod(leading), Arrays()
@@ -231,7 +233,7 @@ def _start(space: ConfigurationSpace, start: Mapping[str, Any], leading: tuple[i
 
 
 class _Reacher:
-    """The compiled search for a mechanism, frames and options."""
+    """The compiled search for a mechanism with some frames and options."""
 
     def __init__(
         self,
@@ -254,7 +256,7 @@ class _Reacher:
         poses = dict[str, Any]()
         if shapes:
             forward = lower({name: mechanism.pose(name) for name in self._frames})
-            with jax.ensure_compile_time_eval():  # the first call may be one that is traced
+            with jax.ensure_compile_time_eval():  # the first call may be inside a traced function
                 poses = jax.jit(jax.vmap(lambda x: forward(0.0, x)))(pool)
         self._pool = {name: value.reshape(seeds, candidates, *value.shape[1:]) for name, value in pool.items()}
         parts = [self._feature(name, np.asarray(poses[name])) for name in self._frames]
@@ -266,7 +268,7 @@ class _Reacher:
     @staticmethod
     @functools.lru_cache(maxsize=32)
     def of(*arguments: Any) -> _Reacher:
-        """One search is compiled once."""
+        """Each search is compiled once and cached."""
         return _Reacher(*arguments)
 
     def __call__(self, targets: Arrays, start: Arrays | None) -> ReachResult:
@@ -290,13 +292,13 @@ class _Reacher:
         parts = [self._feature(name, targets[name]) for name in self._frames]
         wanted = jnp.concatenate(parts, axis=1) if parts else jnp.zeros((count, 0))
         features = jnp.asarray(self._features, dtype=wanted.dtype)
-        far = jnp.sum(features**2, axis=1)[None] - 2.0 * wanted @ features.T  # but for what all candidates share
+        far = jnp.sum(features**2, axis=1)[None] - 2.0 * wanted @ features.T  # without a part that all candidates share
         best = jnp.argmin(far.reshape(count, self._seeds, features.shape[0] // self._seeds), axis=2)
         rows = jnp.arange(self._seeds)[None]
         return {name: jnp.asarray(value, dtype=wanted.dtype)[rows, best] for name, value in self._pool.items()}
 
     def _all(self, targets: Arrays, start: Arrays | None, count: int) -> ReachResult:
-        # Derivatives go through the last step alone.
+        # Only the last step is differentiated.
         still = jax.tree.map(jax.lax.stop_gradient, targets)
         seeds = self._chosen(still, count)
         if start is not None:
@@ -306,14 +308,15 @@ class _Reacher:
         return jax.vmap(self._polished)(targets, solution)
 
     def _polished(self, targets: Arrays, solution: SearchEnd) -> ReachResult:
-        """One target: a last step of Gauss and Newton where it is reached, and what there is to say."""
+        """For one target: a last Gauss-Newton step if it is reached, and the attributes of the result."""
         reached = self._search.reached(solution.error)
         e, J = self.errors(solution.x, targets)
         open_J = jax.lax.stop_gradient(jnp.where(solution.free[None], J, 0.0))
         size = jnp.sum(open_J * open_J)
         mu = jnp.where(size > 0.0, np.finfo(e.dtype).eps * size, 1.0)  # a target on the base depends on no joint
         step = jnp.where(reached, self._search.least_squares(open_J, e, mu), 0.0)
-        # Near a singular position the step may lead away: then its derivatives are kept, and it is not taken.
+        # Near a singular configuration the step may increase the error: then it is not taken, but its derivatives are
+        # kept.
         after, _ = self.errors(jax.lax.stop_gradient(self.errors.space.moved(solution.x, step)), targets)
         worse = (jnp.sum(after * after) > jnp.sum(e * e)) | ~self._search.reached(after)
         x = self.errors.space.moved(solution.x, step - jax.lax.stop_gradient(jnp.where(worse, step, 0.0)))

@@ -1,16 +1,16 @@
-"""Damped least squares within limits, from seed to seed until one reaches the target: one loop for one target.
+"""Damped least squares within joint limits, from successive seeds until one reaches the target, as one loop per target.
 
-A step minimises $|e - J d|^2 + mu |d|^2$ over the freedoms that no limit stops,
+A step minimises $|e - J d|^2 + mu |d|^2$ over the degrees of freedom that are not blocked by a limit,
 
     d = D J^T (J D J^T + mu 1)^-1 e,
 
-D a diagonal of zeros and ones, and is cut at the limits. It is kept if |e| becomes smaller; mu grows where it does not.
-A seed ends at a minimum: where the part of J^T e that limits do not stop vanishes.
+where D is a diagonal matrix of zeros and ones, and is clipped to the limits. It is accepted if |e| decreases; otherwise
+mu is increased. The search from a seed ends at a minimum, where the part of J^T e that limits do not block vanishes.
 
-Source: K. Levenberg, Quarterly of Applied Mathematics 2 (1944); T. Sugihara, IEEE Transactions on Robotics 27 (2011),
-for a damping in proportion to |e|^2; C. Kanzow and others, J. of Computational and Applied Mathematics 172 (2004), for
-steps that are projected; B. Siciliano, J.-J. Slotine, A general framework for managing multiple tasks in highly
-redundant robotic systems, ICAR (1991), for tasks along the solutions of others.
+Sources: K. Levenberg, Quarterly of Applied Mathematics 2 (1944); T. Sugihara, IEEE Transactions on Robotics 27 (2011),
+for damping proportional to |e|^2; C. Kanzow and others, J. of Computational and Applied Mathematics 172 (2004), for
+projected steps; B. Siciliano, J.-J. Slotine, A general framework for managing multiple tasks in highly redundant
+robotic systems, ICAR (1991), for secondary tasks.
 """
 
 from __future__ import annotations
@@ -30,16 +30,17 @@ from .errors import ReachErrors
 
 @dataclasses.dataclass(frozen=True)
 class SearchOptions:
-    """Numbers of the loop.
+    """Numeric options of the search.
 
     Attributes:
-        position_tolerance: m; angle_tolerance: rad; of each frame.
-        iterations: of one seed, at most, and of the secondary tasks.
-        flat: the share of |J|_F |e| below which the slope of |e| is zero: the seed is at a minimum.
-        damping: of the first step, as a share of |e|^2.
-        grow, shrink: factors of the damping after a step that is refused, and one that is kept.
-        least, most: bounds of the damping as a share of |e|^2; beyond the upper one the seed is at a minimum.
-        first_share, last_share: of |e|^2 of secondary tasks beside that of the others, at their first and last step.
+        position_tolerance, angle_tolerance: tolerances of each frame, m and rad.
+        iterations: the largest number from one seed, and for the secondary tasks.
+        flat: the fraction of |J|_F |e| below which the gradient of |e| counts as zero: the search is at a minimum.
+        damping: damping of the first step, as a fraction of |e|^2.
+        grow, shrink: factors of the damping after a rejected and after an accepted step.
+        least, most: bounds of the damping as a fraction of |e|^2; above the upper one the search is at a minimum.
+        first_share, last_share: the weight of |e|^2 of secondary tasks relative to that of the others, at the first and
+            the last step.
     """
 
     position_tolerance: float
@@ -61,9 +62,9 @@ class SearchEnd(NamedTuple):
     x: Arrays
     error: jax.Array  # (m,)
     free: jax.Array  # (n,)
-    slope: jax.Array  # () share of |J|_F |e|
-    minima: jax.Array  # () seeds that ended at a minimum
-    seeds: jax.Array  # () seeds that were tried
+    slope: jax.Array  # () fraction of |J|_F |e|
+    minima: jax.Array  # () number of seeds that ended at a minimum
+    seeds: jax.Array  # () number of seeds that were tried
     steps: jax.Array  # ()
 
 
@@ -81,14 +82,14 @@ class ReachState(NamedTuple):
 
 
 class SeededSearch:
-    """The search for one target, of the errors of its frames."""
+    """The search for one target, by the errors of its frames."""
 
     def __init__(self, errors: ReachErrors, options: SearchOptions) -> None:
         self._errors, self._options = errors, options
         self._solves: dict[int, Any] = {}
 
     def one(self, targets: Arrays, seeds: Arrays) -> SearchEnd:
-        """The best positions for targets, from seeds (count, ...)."""
+        """The best positions for a target, from seeds (count, ...)."""
         count = next(iter(seeds.values())).shape[0]
         start = {name: value[0] for name, value in seeds.items()}
         e, J = self._errors(start, targets)
@@ -104,14 +105,14 @@ class SeededSearch:
         return SearchEnd(x, e, free, share, last.minima, jnp.minimum(last.seed + 1, count), last.steps)
 
     def least_squares(self, J: jax.Array, e: jax.Array, mu: Any) -> jax.Array:
-        """The minimum of $|e - J d|^2 + mu |d|^2$, by the smaller of two systems of equations."""
+        """The minimum of $|e - J d|^2 + mu |d|^2$, by the smaller of two equivalent linear systems."""
         rows, n = J.shape
         if rows <= n:
             return J.T @ self._solve(J @ J.T + mu * np.eye(rows, dtype=e.dtype), e)
         return self._solve(J.T @ J + mu * np.eye(n, dtype=e.dtype), J.T @ e)
 
     def reached(self, e: jax.Array) -> jax.Array:
-        """Whether every position, every turn, every task and every constraint is within its tolerance."""
+        """Whether every position, every rotation, every task and every constraint is within its tolerance."""
         options = self._options
         turn = options.angle_tolerance * self._errors.length
         within = [
@@ -128,7 +129,7 @@ class SeededSearch:
         return solution
 
     def _next(self, s: ReachState, targets: Arrays, seeds: Arrays, count: int) -> ReachState:
-        """One step, or the next seed."""
+        """One step, or the start from the next seed."""
         options = self._options
         free, share = self._steepness(s.x, s.e, s.J)
         minimum = (share <= options.flat) | (s.damping > options.most)
@@ -159,7 +160,9 @@ class SeededSearch:
         return self._errors.space.moved(s.x, self.least_squares(jnp.where(free[None], s.J, 0.0), s.e, mu))
 
     def _steepness(self, x: Arrays, e: jax.Array, J: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """The freedoms that may follow the slope of |e|^2, and its length as a share of |J| |e|."""
+        """The degrees of freedom that may follow the gradient of |e|^2, and the gradient's length as a fraction of |J|
+        |e|.
+        """
         slope = J.T @ e
         free = self._errors.space.free(x, slope)
         size = jnp.maximum(jnp.sum(J * J) * jnp.sum(e * e), np.finfo(e.dtype).tiny)
@@ -168,7 +171,7 @@ class SeededSearch:
     # ---- secondary tasks ---------------------------------------------------------------------------------------------
 
     def _improved(self, x: Arrays, targets: Arrays) -> Arrays:
-        """Positions from x on at which secondary tasks have a smaller error; x where it reaches no target.
+        """Positions, starting from x, at which secondary tasks have a smaller error; x if the target is not reached.
 
         Steps of damped least squares of $|e|^2 + s |e_2|^2$, with the share s of the secondary tasks falling to nearly
         zero: they move along the solutions of the others.

@@ -1,1 +1,1 @@
-"""Tasks: what a motion of a mechanism should do, each an error and its Jacobian."""
+"""Tasks: aims of a motion of a mechanism, each an error with its Jacobian."""

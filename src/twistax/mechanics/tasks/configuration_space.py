@@ -1,4 +1,4 @@
-"""The positions of a mechanism as arrays: their limits, steps along velocities, and random ones."""
+"""The positions of a mechanism as arrays: their limits, steps along velocities, and random positions."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ Arrays = dict[str, Any]
 
 @dataclasses.dataclass(frozen=True)
 class CoordinateLimits:
-    """Bounds of the coordinates of the position vector (w,): infinite where there are none."""
+    """Bounds of the coordinates of the position vector (w,), infinite for no limit."""
 
     lower: NDArray[np.float64]
     upper: NDArray[np.float64]
 
     @classmethod
     def of(cls, owner: str, mechanism: KinematicTree, width: int) -> CoordinateLimits:
-        """Those of the joints; a follower's are those of its leader, through the ratio."""
+        """The limits of the joints. A mimic joint limits the joint that it follows, through its ratio."""
         lower, upper = np.full(width, -np.inf), np.full(width, np.inf)
         for segment in mechanism.segments:
             drive, mimic, at = segment.link.drive, segment.link.mimic, segment.coordinates
@@ -45,33 +45,36 @@ class CoordinateLimits:
             s.link.joint.name for s in mechanism.segments if s.coordinates and np.any((lower > upper)[s.coordinates])
         ]
         if empty:
-            raise ModelError(f"{owner}: the limits of {listed(empty)} and of what follows exclude each other")
+            raise ModelError(
+                f"{owner}: the limits of {listed(empty)} and of the joints that mimic it contradict each other"
+            )
         return cls(lower, upper)
 
 
 class ConfigurationSpace:
-    """The positions of a mechanism without closures.
+    """The positions of a mechanism without loop constraints.
 
     Args:
-        owner: for messages.
+        owner: the name in messages.
     Attributes:
-        states: of the positions; names: theirs.
+        states, names: the states of the positions, and their names.
         width: the number of coordinates in q.
-        coordinates: for each freedom the coordinate that it moves, -1 on groups.
-        joints: by freedom the name of its joint.
-        limits: of the coordinates.
-    Raises: ModelError for a mechanism with closures, joints on other groups, or limits that exclude each other.
+        coordinates: for each degree of freedom the coordinate that it changes, -1 for joints on groups.
+        joints: the name of the joint for each degree of freedom.
+        limits: limits of the coordinates.
+    Raises: ModelError for a mechanism with loop constraints, for joints on other groups than SO(3) and SE(3), and for
+    limits that contradict each other.
     """
 
     def __init__(self, owner: str, mechanism: KinematicTree) -> None:
         if mechanism.loops:
             raise ModelError(
-                f"{owner} does not keep closures: {listed(loop.name for loop in mechanism.loops)}.\n"
-                "  fix: replace(loops=()) where they may open"
+                f"{owner} does not support loop constraints: {listed(loop.name for loop in mechanism.loops)}.\n"
+                "  fix: replace(loops=()) if they may be violated"
             )
         unsupported = [s.link.joint for s in mechanism.segments if s.link.joint.group not in (None, SO3, SE3)]
         if unsupported:
-            raise ModelError(f"{owner} moves joints on SO(3) and SE(3), got {listed(unsupported)} on other groups")
+            raise ModelError(f"{owner} supports joints on SO(3) and SE(3), got {listed(unsupported)} on other groups")
         self.owner, self.mechanism = owner, mechanism
         q = mechanism.q
         self.states: list[State] = [q] if isinstance(q, State) else list(q.values())
@@ -87,14 +90,14 @@ class ConfigurationSpace:
 
     @property
     def vector(self) -> Expr:
-        """The coordinates q (w,). Raises ModelError where all joints are on groups."""
+        """The coordinates q (w,). Raises ModelError if all joints are on groups."""
         if not self.width:
-            raise ModelError(f"{self.owner} expects joints with coordinates, got joints on groups alone")
+            raise ModelError(f"{self.owner} expects a joint with coordinates, got only joints on groups")
         return next(state for state in self.states if state.name == "q")
 
     @property
     def coordinate_rates(self) -> Expr:
-        """S (w, n): $q' = S qd$."""
+        """The matrix S (w, n) with $q' = S qd$."""
         mechanism, zero = self.mechanism, np.zeros(self.width)
         columns: list[Expr] = [Constant(zero)] * mechanism.dofs
         places = mechanism.positions(self.owner, None)
@@ -131,7 +134,7 @@ class ConfigurationSpace:
         return dict(self._step(0.0, {**x, "step": step}))
 
     def moved(self, x: Arrays, step: jax.Array) -> Arrays:
-        """The positions after a step (n,) of the velocities, cut at the limits."""
+        """The positions after a step (n,) of the velocities, clipped to the limits."""
         after = self.after(x, step)
         if self.width:
             dtype = after["q"].dtype
@@ -139,7 +142,7 @@ class ConfigurationSpace:
         return after
 
     def margins(self, x: Arrays, dtype: Any) -> tuple[jax.Array, jax.Array]:
-        """How far each freedom (n,) is above its lower limit and below its upper one; infinite without limits."""
+        """The distances of each degree of freedom (n,) from its lower and its upper limit; infinite without limits."""
         flat = self.coordinates
         q = jnp.append(x["q"], jnp.zeros(1, dtype))[flat] if self.width else jnp.zeros(len(flat), dtype)
         lower, upper = (
@@ -149,12 +152,16 @@ class ConfigurationSpace:
         return q - lower, jnp.asarray(upper) - q
 
     def free(self, x: Arrays, slope: jax.Array) -> jax.Array:
-        """Which freedoms (n,) may follow the direction of descent: those not at a limit beyond which it points."""
+        """The degrees of freedom (n,) that may follow a descent direction: those that are not at a limit that blocks
+        it.
+        """
         above, below = self.margins(x, slope.dtype)
         return ((above > 0.0) | (slope > 0.0)) & ((below > 0.0) | (slope < 0.0))
 
     def random(self, rng: np.random.Generator, count: int) -> Arrays:
-        """Positions (count, ...) within the limits; without limits angles of one turn, and elements about the unit."""
+        """Random positions (count, ...) within the limits. Without limits, angles are within one turn, and elements
+        near the identity.
+        """
         from scipy.spatial.transform import Rotation
 
         x = dict[str, Any]()

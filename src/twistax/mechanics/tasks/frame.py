@@ -1,4 +1,4 @@
-"""Tasks of one frame: its pose, its position, its axes."""
+"""Tasks of a frame: its pose, its position, its orientation."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ class FrameTask(Task):
     Source: S. Caron, Jacobian of a kinematic task and derivatives on manifolds (2023), as in pink's `FrameTask`.
 
     Attributes:
-        frame: its name.
+        frame: the name of the frame.
         target: $T_d$ (4, 4) in the base; None: the Control "<frame>_pose".
-        weight, gain, damping: as of `Task`.
-    Raises: ModelError for an unknown frame; ShapeError for a target of another shape; the errors of `Task`.
+        weight, gain, damping: as for `Task`.
+    Raises: ModelError for an unknown frame; ShapeError for a target of the wrong shape; the errors of `Task`.
     """
 
     frame: str
@@ -41,10 +41,10 @@ class PositionTask(Task):
     """Moves the origin of a frame to a position: $e = p_d - p$ (3,), m, in the axes of the base.
 
     Attributes:
-        frame: its name.
+        frame: the name of the frame.
         target: $p_d$ (3,) in the base; None: the Control "<frame>_position".
-        weight, gain, damping: as of `Task`.
-    Raises: ModelError for an unknown frame; ShapeError for a target of another shape; the errors of `Task`.
+        weight, gain, damping: as for `Task`.
+    Raises: ModelError for an unknown frame; ShapeError for a target of the wrong shape; the errors of `Task`.
     """
 
     frame: str
@@ -63,10 +63,10 @@ class OrientationTask(Task):
     """Rotates a frame to an attitude: $e = Log(R^T R_d)$ (3,), rad, in its axes, $J = J_l(e)^-1 J_w$.
 
     Attributes:
-        frame: its name.
+        frame: the name of the frame.
         target: $R_d$ (3, 3) in the base; None: the Control "<frame>_orientation".
-        weight, gain, damping: as of `Task`.
-    Raises: ModelError for an unknown frame; ShapeError for a target of another shape; the errors of `Task`.
+        weight, gain, damping: as for `Task`.
+    Raises: ModelError for an unknown frame; ShapeError for a target of the wrong shape; the errors of `Task`.
     """
 
     frame: str

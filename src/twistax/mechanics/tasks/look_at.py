@@ -1,4 +1,4 @@
-"""The task of an axis that points at a point."""
+"""The task of pointing an axis at a point."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ class LookAtTask(Task):
     The length of e is $2 sin(angle / 2)$. The rotation about the axis is free.
 
     Attributes:
-        frame: its name.
-        axis: a (3,) in the frame, of any length; its x axis by default.
+        frame: the name of the frame.
+        axis: a (3,) in the frame, of any nonzero length; its x axis by default.
         target: $p_d$ (3,) in the base; None: the Control "<frame>_look_at".
-        weight, gain, damping: as of `Task`.
+        weight, gain, damping: as for `Task`.
     Raises: ModelError for an axis that is zero or not finite.
     """
 
@@ -36,7 +36,7 @@ class LookAtTask(Task):
     target: ExprLike | None = None
 
     def _direction(self, mechanism: KinematicTree) -> tuple[Expr, Expr]:
-        """u (3,) and r ()."""
+        """The direction u (3,) and the distance r ()."""
         T, p_d = mechanism.pose(self.frame), self._target(f"{self.frame}_look_at", self.target, (3,))
         to_point = T[:3, :3].T @ (p_d - T[:3, 3])
         distance = Sqrt(Dot(to_point, to_point))

@@ -1,4 +1,4 @@
-"""The task of staying away from singular positions."""
+"""The task of avoiding singular configurations."""
 
 from __future__ import annotations
 
@@ -15,21 +15,22 @@ from ..kinematic_tree import KinematicTree
 from .configuration_space import ConfigurationSpace
 from .task import Task
 
-#: Singular values of a Jacobian below this are zero, m or 1.
+#: Singular values of a Jacobian below this are zero, in m or without unit.
 _RANK = 1e-9
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ManipulabilityTask(Task):
-    """Increases the manipulability $m = sqrt(det(J J^T))$ of a frame: $log m$ by the gain per second. The error is 1,
-    the Jacobian $(log m)_i = tr((J J^T)^-1 J_i J^T)$ with the derivatives $J_i$ of the frame's Jacobian.
+    """Increases the manipulability $m = sqrt(det(J J^T))$ of a frame: the gain is the desired rate of $log m$ per
+    second. The error is 1, and the Jacobian is $(log m)_i = tr((J J^T)^-1 J_i J^T)$ with the derivatives $J_i$ of the
+    frame's Jacobian.
 
     Source: T. Yoshikawa, Manipulability of robotic mechanisms, International Journal of Robotics Research 4 (1985).
 
     Attributes:
-        frame: its name.
-        angular: whether J has the rows of the angular velocity as well.
-        weight, gain, damping: as of `Task`.
+        frame: the name of the frame.
+        angular: whether J includes the rows of the angular velocity.
+        weight, gain, damping: as for `Task`.
     Raises: ModelError for a frame whose Jacobian has fewer degrees of freedom than rows, or is singular everywhere.
     """
 
@@ -47,8 +48,8 @@ class ManipulabilityTask(Task):
         J = frame_jacobian(mechanism, self.frame, axes=BODY)[:rows]
         if _singular_everywhere(mechanism, J):
             raise ModelError(
-                f"ManipulabilityTask: the Jacobian ({rows}, {n}) of {self.frame!r} is singular everywhere, as that of "
-                "an arm that moves in a plane is"
+                f"ManipulabilityTask: the Jacobian ({rows}, {n}) of {self.frame!r} is singular everywhere, "
+                "for example because the arm moves in a plane"
             )
         K = InversePositive(J @ J.T) @ J
         slopes = [frame_jacobian_rate(mechanism, self.frame, qd=unit, axes=BODY)[:rows] for unit in np.eye(n)]
@@ -56,7 +57,7 @@ class ManipulabilityTask(Task):
 
 
 def _singular_everywhere(mechanism: KinematicTree, J: Expr) -> bool:
-    """Whether a Jacobian has dependent rows at random positions; False where it reads parameters."""
+    """Whether a Jacobian has dependent rows at random positions; False if it depends on parameters."""
     if not all(isinstance(leaf, (Constant, State)) for leaf in leaves_of(J)):
         return False
     space = ConfigurationSpace("ManipulabilityTask", mechanism)

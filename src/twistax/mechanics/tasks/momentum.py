@@ -1,4 +1,4 @@
-"""Tasks of all bodies together: their centre of mass, and their momentum."""
+"""Tasks of the whole mechanism: its centre of mass, and its momentum."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ class CenterOfMassTask(Task):
     matrix $A = [A_v; A_w]$.
 
     Attributes:
-        target: $c_d$ (3,); None: the Control "center_of_mass".
-        weight, gain, damping: as of `Task`.
-    Raises: ModelError if no mass moves; ShapeError for a target of another shape; the errors of `Task`.
+        target: $c_d$ (3,) in the base; None: the Control "center_of_mass".
+        weight, gain, damping: as for `Task`.
+    Raises: ModelError if no mass moves; ShapeError for a target of the wrong shape; the errors of `Task`.
     """
 
     target: ExprLike | None = None
@@ -35,14 +35,14 @@ class CenterOfMassTask(Task):
 class MomentumTask(Task):
     """Sets the momentum about the centre of mass to $h_d = [p; L]$ (6,), N s and N m s: $A(q) qd = h_d$.
 
-    Its error is $h_d$ itself, and its gain is 1.
+    The error is $h_d$ itself, and the gain is 1.
 
     Source: S. Kajita and others, Resolved momentum control, IROS (2003).
 
     Attributes:
         target: $h_d$ (6,), in axes parallel to the base's; None: the Control "momentum".
-        weight, gain, damping: as of `Task`.
-    Raises: ModelError if no mass moves; ShapeError for a target of another shape; the errors of `Task`.
+        weight, gain, damping: as for `Task`.
+    Raises: ModelError if no mass moves; ShapeError for a target of the wrong shape; the errors of `Task`.
     """
 
     target: ExprLike | None = None

@@ -1,4 +1,4 @@
-"""Tasks of the coordinates of joints: a posture, and the middle of their limits."""
+"""Tasks of joint coordinates: a posture, and the middle of their limits."""
 
 from __future__ import annotations
 
@@ -18,14 +18,15 @@ from .task import Task
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class PostureTask(Task):
-    """Joints go to coordinates: $e = q_d - q$, rad or m. It determines the motion that other tasks leave free.
+    """Moves joints to coordinates: $e = q_d - q$, rad or m. With a small weight, it determines the motion that other
+    tasks leave free.
 
-    Joints on groups, such as a floating base, have no coordinates; `FrameTask` moves these.
+    Joints on groups, such as a floating base, have no coordinates; use `FrameTask` for them.
 
     Attributes:
-        target: $q_d$ (w,), all of "q"; None: the Control "posture".
-        joints: whose coordinates count; None: all of them.
-        weight, gain, damping: as of `Task`.
+        target: $q_d$ (w,), all entries of "q"; None: the Control "posture".
+        joints: the joints whose coordinates count; None: all of them.
+        weight, gain, damping: as for `Task`.
     Raises: ModelError for an unknown joint, or one on a group.
     """
 
@@ -51,8 +52,8 @@ class JointLimitTask(Task):
     Transactions on Systems, Man and Cybernetics 7 (1977), equation 28.
 
     Attributes:
-        joints: whose coordinates count; None: all of them.
-        weight, gain, damping: as of `Task`.
+        joints: the joints whose coordinates count; None: all of them.
+        weight, gain, damping: as for `Task`.
     Raises: ModelError for an unknown joint, a joint on a group, or if no joint has two limits.
     """
 

@@ -1,4 +1,4 @@
-"""The task of one frame relative to another one."""
+"""The task of a pose of one frame relative to another one."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ class RelativeFrameTask(Task):
     T$, and $J = J_l(e)^-1 (J_body - Ad_X^-1 J_r)$.
 
     Attributes:
-        frame, relative_to: names.
+        frame, relative_to: the names of the two frames.
         target: $X_d$ (4, 4); None: the Control "<frame>_in_<relative_to>".
-        weight, gain, damping: as of `Task`.
-    Raises: ModelError for an unknown frame; ShapeError for a target of another shape; the errors of `Task`.
+        weight, gain, damping: as for `Task`.
+    Raises: ModelError for an unknown frame; ShapeError for a target of the wrong shape; the errors of `Task`.
     """
 
     frame: str

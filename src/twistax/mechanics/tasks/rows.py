@@ -1,4 +1,4 @@
-"""Tasks and constraints of a mechanism as arrays: errors with their Jacobians, and residuals with theirs."""
+"""Tasks and constraints of a mechanism as arrays: errors and residuals, with their Jacobians."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from .task import NUMBERS, Task
 
 
 class TaskRows:
-    """The errors and Jacobians of tasks, one under the other.
+    """The stacked errors and Jacobians of tasks.
 
     Attributes:
         sizes: the number of rows of each task.
-        weights, gains, damping: by row; a gain is NaN where the task has none.
+        weights, gains, damping: by row; the gain is NaN if the task has none.
         expressions: the errors (m,) and the Jacobian (m, n); None without tasks.
-    Raises: ModelError, ShapeError for what is no task, or one whose error and Jacobian do not fit.
+    Raises: ModelError for an object that is not a task; ShapeError if the shapes of error and Jacobian do not match.
     """
 
     def __init__(self, owner: str, space: ConfigurationSpace, tasks: Iterable[Task]) -> None:
@@ -52,19 +52,21 @@ class TaskRows:
         self._lowered = lower(list(self.expressions)) if self.expressions else None
 
     def with_numbers(self, owner: str, tasks: Iterable[Task]) -> TaskRows:
-        """The same rows with the weights, gains and damping of other tasks. Raises ModelError where more differs."""
+        """The same rows with the weights, gains and damping of other tasks. Raises ModelError if the tasks differ in
+        anything else.
+        """
         rows = copy.copy(self)
         rows.tasks = tuple(tasks)
         if list(map(_program, rows.tasks)) != list(map(_program, self.tasks)):
             raise ModelError(
                 f"{owner}: replace expects the tasks of the controller with another weight, gain or damping.\n"
-                "  fix: dataclasses.replace(task, weight=...); a new controller for other tasks"
+                "  fix: use dataclasses.replace(task, weight=...), or make a new controller for other tasks"
             )
         rows.weights, rows.gains, rows.damping = _numbers(rows.tasks, rows.sizes)
         return rows
 
     def __call__(self, x: Arrays, u: Arrays, params: Arrays) -> tuple[jax.Array, jax.Array]:
-        """e (m,) and J (m, n)."""
+        """The errors e (m,) and the Jacobian J (m, n)."""
         if self._lowered is None:
             return jnp.zeros(0, dtype_of(x)), jnp.zeros((0, self._dofs), dtype_of(x))
         e, J = self._lowered(0.0, x, *of_leaves(leaves_of(*(self.expressions or ())), u, params))
@@ -79,7 +81,7 @@ def _numbers(tasks: Sequence[Task], sizes: Sequence[int]) -> tuple[np.ndarray, n
 
 
 def _program(task: Any) -> Any:
-    """What a task is but for its numbers: its class, and the objects that it holds."""
+    """What a task consists of besides its numbers: its class, and the objects that it holds."""
     if not isinstance(task, Task):
         return task
     names = [field.name for field in dataclasses.fields(task) if field.name not in NUMBERS]
@@ -87,12 +89,12 @@ def _program(task: Any) -> Any:
 
 
 class ConstraintRows:
-    """The residuals of inequalities, at most zero where they hold, with their derivatives along velocities.
+    """The residuals of inequalities, satisfied if not positive, with their derivatives along velocities.
 
     Attributes:
-        sizes: the number of rows of each, by name.
+        sizes: the number of rows of each constraint, by name.
         expression: the residuals (k,); None without constraints.
-    Raises: ModelError for what is no inequality, or depends on other states than the positions.
+    Raises: ModelError for objects that are not inequalities, or that depend on states other than the positions.
     """
 
     def __init__(self, owner: str, space: ConfigurationSpace, constraints: Any) -> None:
@@ -100,11 +102,11 @@ class ConstraintRows:
         residuals, self.sizes = list[Expr](), dict[str, int]()
         for name, constraint in constraints_by_name(constraints).items():
             if not isinstance(constraint, Constraint) or not isinstance(constraint, Inequality):
-                raise ModelError(f"{owner} keeps inequalities, got {name!r}: {short(constraint)}")
+                raise ModelError(f"{owner} expects inequalities as constraints, got {name!r}: {short(constraint)}")
             need_finite(f"{owner}: constraint {name!r}", constraint)
             residual = constraint.residual()
             if len(residual.shape) > 1:
-                raise ModelError(f"{owner} keeps constraints of shape () or (k,), got {name!r} {residual.shape}")
+                raise ModelError(f"{owner} expects constraints of shape () or (k,), got {name!r} {residual.shape}")
             residuals.append(residual if residual.shape else residual[None])
             self.sizes[name] = residuals[-1].shape[0]
         self.expression = Concat(*residuals) if residuals else None
@@ -118,19 +120,19 @@ class ConstraintRows:
         return values
 
     def __call__(self, x: Arrays, u: Arrays, params: Arrays) -> tuple[jax.Array, jax.Array]:
-        """c (k,) and C (k, n): $c' = C qd$."""
+        """The residuals c (k,) and the matrix C (k, n) with $c' = C qd$."""
         n = self._space.mechanism.dofs
         if self._lowered is None:
             return jnp.zeros(0, dtype_of(x)), jnp.zeros((0, n), dtype_of(x))
         moved = lambda step: self.values(self._space.after(x, step), u, params)  # noqa: E731
         at, back = jax.vjp(moved, jnp.zeros(n, dtype_of(x)))
-        # Row by row: in a batch arrays are so wide that they would not become scalars.
+        # Row by row: the arrays of a batch are too wide to be converted to scalars.
         C = jnp.stack([back(unit)[0] for unit in np.eye(len(at), dtype=at.dtype)])
         return at, C
 
 
 def of_leaves(leaves: Iterable[Leaf], u: Mapping[str, Any], params: Mapping[str, Any]) -> tuple[Arrays, Arrays]:
-    """What an expression takes of controls and parameters."""
+    """The controls and parameters that an expression reads."""
     names = {leaf.name for leaf in leaves}
     return {k: v for k, v in u.items() if k in names}, {k: v for k, v in params.items() if k in names}
 
@@ -147,7 +149,9 @@ def inputs_of(
     unknown = [leaf.name for leaf in leaves.values() if isinstance(leaf, Time)]
     unknown += [leaf.name for leaf in leaves.values() if isinstance(leaf, State) and leaf.name not in space.names]
     if unknown:
-        raise ModelError(f"{owner} reads positions, controls and parameters, got expressions of {listed(unknown)}")
+        raise ModelError(
+            f"{owner} expects expressions of positions, controls and parameters, got expressions of {listed(unknown)}"
+        )
     return (
         [leaf for leaf in leaves.values() if isinstance(leaf, Control)],
         [leaf for leaf in leaves.values() if isinstance(leaf, Parameter)],
@@ -155,19 +159,19 @@ def inputs_of(
 
 
 def _need_one_target(owner: str, expressions: Sequence[Expr]) -> None:
-    """Raise ModelError where tasks have other numbers for a target of one name."""
+    """Raise ModelError if tasks have targets of the same name with different numbers."""
     named: dict[str, Parameter] = {}
     for leaf in leaves_of(*expressions):
         if not isinstance(leaf, Parameter):
             continue
         first, value = (np.asarray(one.value, float) for one in (named.setdefault(leaf.name, leaf), leaf))
-        if not np.array_equal(first, value, equal_nan=True):  # NaN stands for None
+        if not np.array_equal(first, value, equal_nan=True):  # NaN represents None
             raise ModelError(
-                f"{owner}: two tasks have a target {leaf.name!r} with other numbers.\n"
-                "  fix: one task; or target=tx.Parameter(name, shape, value=...) with a name for each"
+                f"{owner}: two tasks have targets named {leaf.name!r} with different numbers.\n"
+                "  fix: remove one task, or pass target=tx.Parameter(name, shape, value=...) with different names"
             )
 
 
 def dtype_of(x: Arrays) -> Any:
-    """The precision of positions."""
+    """The dtype of positions."""
     return next(iter(x.values())).dtype

@@ -1,1 +1,1 @@
-"""Mechanisms as text: URDF and MJCF."""
+"""Writers of mechanisms as text: URDF and MJCF."""

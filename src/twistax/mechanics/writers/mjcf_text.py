@@ -1,8 +1,8 @@
 """A mechanism as MJCF.
 
-A body of MJCF has mass, or something fixed to it has. So a link without mass that carries one other link, such as the
-first of a universal joint, becomes the first joint of that other body: with D the pose of the body in the frame after a
-joint, at zero, the joint stands at the origin of $D^-1$ with the axis $R_D^T a$.
+A body of MJCF must have mass, or something with mass fixed to it. So the joint of a link without mass that carries a
+single other link, such as the first link of a universal joint, becomes the first joint of that other body. With D the
+pose of the body in the frame after the joint, at zero, the joint is at the origin of $D^-1$ and has the axis $R_D^T a$.
 
 Source: the pages of https://mujoco.readthedocs.io, XML reference.
 """
@@ -33,7 +33,7 @@ _TYPES = {Revolute: "hinge", Prismatic: "slide", Spherical: "ball", Free: "free"
 
 
 class MjcfText:
-    """Writes one mechanism. Implements `Mechanism.to_mjcf`; `text` is the file."""
+    """The writer of one mechanism. It implements `Mechanism.to_mjcf`; `text` is the content of the file."""
 
     def __init__(self, mechanism: KinematicTree, name: str, leave_out: Collection[str]) -> None:
         self._mechanism, self._losses = mechanism, Losses("to_mjcf", "MJCF", leave_out)
@@ -47,7 +47,9 @@ class MjcfText:
         self._frames = set(mechanism.frames)
         if mechanism.base != _WORLD:
             if _WORLD in mechanism.frames:
-                raise ModelError("to_mjcf: the base of MJCF is named 'world', and so is a link.\n  fix: renamed(...)")
+                raise ModelError(
+                    "to_mjcf: a link is named 'world', which is the name of the base in MJCF.\n  fix: use renamed(...)"
+                )
             child(world, "site", name=mechanism.base)
         self._add_shapes(world, mechanism.base, mechanism.shapes)
         for link in self._children[mechanism.base]:
@@ -67,14 +69,15 @@ class MjcfText:
             passed += self._children[passed[-1].name]
         mounts = [self._losses.value(f"the mount of link {part.name!r}", part.mount) for part in passed]
         body = passed[-1]
-        # The pose of the body in the frame after each joint, at zero.
+        # The pose of the body in the frame after each joint, at zero position.
         after = [np.eye(4)]
         for T in reversed(mounts[1:]):
             after.append(T @ after[-1])
         at = mounts[0] @ after[-1]
         if isinstance(link.joint, Free) and not (np.array_equal(at, np.eye(4)) and parent.tag == "worldbody"):
             raise ModelError(
-                f"to_mjcf: the free joint {link.joint.name!r} of MJCF has no mount and stands on the base.\n"
+                f"to_mjcf: the free joint {link.joint.name!r} is mounted at a pose, but in MJCF a free "
+                "joint is on the base without a mount.\n"
                 "  fix: give its link the identity as mount"
             )
         element = child(parent, "body", name=body.name, **_placed(at))
@@ -85,15 +88,15 @@ class MjcfText:
             self._add_inertia(element, body.name, body.body)
         elif body.joint.dofs and not self._has_mass(body):
             raise ModelError(
-                f"to_mjcf: link {body.name!r} moves, and neither it nor what is fixed to it has mass, which MuJoCo "
-                "needs.\n  fix: with_inertia({...: SpatialInertia(...)})"
+                f"to_mjcf: link {body.name!r} moves, but neither it nor a link that is fixed to it has "
+                f"mass, which MuJoCo requires.\n  fix: with_inertia({...: SpatialInertia(...)})"
             )
         self._add_shapes(element, body.name, body.shapes)
         for carried in self._children[body.name]:
             self._add_body(element, carried)
 
     def _joins_the_next(self, link: Link) -> bool:
-        """Whether the joint of a link without mass becomes one of the body that the link carries."""
+        """Whether the joint of a link without mass becomes a joint of the body that the link carries."""
         carried = self._children[link.name]
         alone = link.body is None and len(carried) == 1 and not link.shapes
         return bool(alone and link.joint.dofs and carried[0].joint.dofs)
@@ -108,11 +111,11 @@ class MjcfText:
         moments, axes = np.linalg.eigh(value(f"the inertia of {of}", body.inertia))
         if moments[0] <= 0.0 or mass <= 0.0 or moments[2] > (moments[0] + moments[1]) * (1.0 + _ROUND_OFF):
             raise ModelError(
-                f"to_mjcf: MuJoCo needs a positive mass and positive principal moments none of which is above the sum "
-                f"of the other two, got {float(mass)} kg and {moments.tolist()} kg m2 of {of}.\n"
+                "to_mjcf: MuJoCo requires a positive mass, positive principal moments, and no principal "
+                f"moment above the sum of the other two, got {float(mass)} kg and {moments.tolist()} kg m2 of {of}.\n"
                 "  fix: with_inertia({...: SpatialInertia(...)})"
             )
-        moments[2] = min(moments[2], moments[0] + moments[1])  # of a flat body, up to rounding
+        moments[2] = min(moments[2], moments[0] + moments[1])  # of a flat body, up to round-off
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = axes * np.sign(np.linalg.det(axes)), center
         child(element, "inertial", mass=text(mass), diaginertia=text(moments), **_placed(T))
@@ -148,14 +151,16 @@ class MjcfText:
         if type(joint) not in _TYPES:
             raise ModelError(f"to_mjcf: MJCF has no joint such as {joint!r}, of {type(joint).__name__}")
         turned = not np.array_equal(D[:3, :3], np.eye(3))
-        if turned:  # what reads the file puts the frame between two joints in the axes of the body
+        if turned:  # a reader of the file assigns the axes of the body to the frame between two joints
             losses.add("frames", link.name)
         attributes: dict[str, str] = {}
         if isinstance(joint, (Revolute, Prismatic)):
             axis = losses.value(f"the axis of joint {joint.name!r}", joint.axis)
             attributes["axis"] = text(D[:3, :3].T @ axis)
         elif turned:
-            raise ModelError(f"to_mjcf: link {link.name!r} has no mass, and its ball joint is turned against the next")
+            raise ModelError(
+                f"to_mjcf: link {link.name!r} has no mass, and its ball joint is rotated relative to the next joint"
+            )
         if link is not body:
             attributes["pos"] = text(-D[:3, :3].T @ D[:3, 3])
         losses.unlike(link, ("friction_speed", "speed"))
@@ -179,7 +184,7 @@ class MjcfText:
         for link in self._mechanism.links:
             if link.mimic is not None:
                 if not link.mimic.ratio:
-                    raise ModelError(f"to_mjcf: joint {link.joint.name!r} follows with the ratio 0.\n  fix: lock it")
+                    raise ModelError(f"to_mjcf: the mimic joint {link.joint.name!r} has the ratio 0.\n  fix: lock it")
                 polynomial = text([link.mimic.offset, link.mimic.ratio, 0.0, 0.0, 0.0])
                 child(equality, "joint", joint1=link.joint.name, joint2=link.mimic.joint, polycoef=polynomial)
         kinds = {PointLoop: "connect", PoseLoop: "weld"}
@@ -197,7 +202,8 @@ class MjcfText:
         name = frame if frame == self._mechanism.base else self._mechanism.link(frame).name
         if name not in self._bodies:
             raise ModelError(
-                f"to_mjcf: {loop!r} needs the frame {name!r}, whose link has no mass and is not a body in MJCF"
+                f"to_mjcf: {loop!r} refers to the frame {name!r}, whose link has no mass and therefore is "
+                "not a body in MJCF"
             )
         site = free_name(f"{loop.name} at {name}", self._frames)
         self._frames.add(site)
@@ -229,7 +235,7 @@ class MjcfText:
 
 def _placed(T: Any) -> dict[str, str]:
     """Position and quaternion [w, x, y, z] of a pose."""
-    from scipy.spatial.transform import Rotation  # not at import: it is large
+    from scipy.spatial.transform import Rotation  # imported here because the package is large
 
     at = np.asarray(T, dtype=np.float64)
     x, y, z, w = Rotation.from_matrix(at[:3, :3]).as_quat()

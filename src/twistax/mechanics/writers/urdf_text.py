@@ -149,7 +149,9 @@ def _add_origin(element: ElementTree.Element, T: ExprLike) -> None:
 
 
 def roll_pitch_yaw(R: NDArray[np.float64]) -> tuple[float, float, float]:
-    """The angles of a rotation, to rounding at all of them: the roll is that of Rot_z(yaw)^T R, whatever the yaw."""
+    """The roll, pitch and yaw of a rotation, accurate to round-off at all angles: the roll is computed from
+    Rot_z(yaw)^T R.
+    """
     yaw = math.atan2(R[1, 0], R[0, 0])
     s, c = math.sin(yaw), math.cos(yaw)
     pitch = math.atan2(-R[2, 0], c * R[0, 0] + s * R[1, 0])

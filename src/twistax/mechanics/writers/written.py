@@ -1,4 +1,6 @@
-"""What both formats need: expressions as numbers, numbers as text, and a list of what a format cannot express."""
+"""Functions that both writers use: expressions as numbers, numbers as text, and a list of the features that a format
+cannot express.
+"""
 
 from __future__ import annotations
 
@@ -19,9 +21,9 @@ from ..drives import Drive
 from ..kinematic_tree import KinematicTree
 from ..tree import Link
 
-#: Stands for a limit that is absent, where a format has none or both. Readers take it as none.
+#: Replaces a missing limit in formats that have none or both. Readers treat it as no limit.
 UNLIMITED = sys.float_info.max
-#: What may be left out.
+#: Kinds of features that may be omitted.
 _KINDS = (
     "armature", "closures", "driven", "effort", "frames", "friction_speed", "gear", "gravity", "keep", "limits",
     "loop_metric", "rest", "shapes", "speed", "stiffness",
@@ -29,13 +31,13 @@ _KINDS = (
 
 
 class Losses:
-    """What a format has no words for, by kind: an error, unless the caller leaves it out.
+    """The features that a format cannot express, by kind: an error unless the caller omits them.
 
     Args:
-        owner: names the method in messages.
-        language: the format.
-        leave_out: kinds that the caller allows to be lost.
-    Raises: ModelError for a kind that is not known.
+        owner: the name of the method in messages.
+        language: the name of the format.
+        leave_out: kinds of features that the caller omits.
+    Raises: ModelError for an unknown kind.
     """
 
     def __init__(self, owner: str, language: str, leave_out: Collection[str]) -> None:
@@ -43,25 +45,25 @@ class Losses:
         self._allowed = set(name_list(f"{owner}: leave_out", leave_out, ModelError))
         self._places = collections.defaultdict[str, list[str]](list)
         for name in sorted(self._allowed - set(_KINDS)):
-            raise ModelError(f"{owner} has nothing {name!r} to leave out; such are {listed(_KINDS, name)}")
+            raise ModelError(f"{owner} cannot leave out {name!r}; possible kinds are {listed(_KINDS, name)}")
 
     def add(self, kind: str, place: str) -> None:
-        """Note that something at a joint, a link or a closure has no words."""
+        """Note a feature of a joint, a link or a loop constraint that the format cannot express."""
         if kind not in self._allowed and place not in self._places[kind]:
             self._places[kind].append(place)
 
     def check(self) -> None:
-        """Raise ModelError where something would be lost."""
+        """Raise ModelError if a feature would be lost that the caller does not omit."""
         if self._places:
             lines = "".join(f"\n  {kind}: of {listed(places)}" for kind, places in sorted(self._places.items()))
             raise ModelError(
                 f"{self.owner}: {self.language} cannot express{lines}\n"
-                f"  fix: {self.owner}(leave_out={sorted(self._places)}) where the file may do without, or change it by "
-                "`replace`"
+                f"  fix: {self.owner}(leave_out={sorted(self._places)}) to omit them, or change the "
+                "mechanism by `replace`"
             )
 
     def value(self, what: str, value: ExprLike) -> NDArray[np.float64]:
-        """The numbers of an expression, with the default values of Parameters. Raises ModelError."""
+        """The numbers of an expression, with the default values of Parameters. Raises ModelError if there are none."""
         expr = to_expr(value)
         known: dict[str, Expr] = {}
         for leaf in leaves_of(expr):
@@ -75,7 +77,7 @@ class Losses:
         return np.asarray(np.add(constant.value, 0.0), dtype=np.float64)  # without negative zeros
 
     def amounts(self, link: Link, names: Iterable[str]) -> dict[str, float]:
-        """The values of a drive that are not zero, by name."""
+        """The nonzero values of a drive, by name."""
         values = {
             name: float(self.value(f"the {name} of joint {link.joint.name!r}", getattr(link.drive, name)))
             for name in names
@@ -83,7 +85,7 @@ class Losses:
         return {name: value for name, value in values.items() if value}
 
     def unlike(self, link: Link, names: Iterable[str]) -> None:
-        """Note what a drive has beyond the default."""
+        """Note the values of a drive that differ from their defaults."""
         usual = Drive()
         for name in names:
             if repr(getattr(link.drive, name)) != repr(getattr(usual, name)):
@@ -91,12 +93,12 @@ class Losses:
 
 
 def text(values: ExprLike) -> str:
-    """Numbers apart by spaces, each so that it is read back to the last bit."""
+    """Numbers separated by spaces, with enough digits to be read back exactly."""
     return " ".join(repr(float(x)) for x in np.ravel(np.asarray(values)))
 
 
 def child(parent: ElementTree.Element, tag: str, **attributes: str) -> ElementTree.Element:
-    """A new element at the end of another."""
+    """A new child element, appended to another element."""
     return ElementTree.SubElement(parent, tag, attributes)
 
 
@@ -107,7 +109,7 @@ def document(root: ElementTree.Element) -> str:
 
 
 def limits(drive: Drive) -> tuple[float, float]:
-    """Both bounds of a position, `UNLIMITED` for one that is absent."""
+    """Both bounds of a position, `UNLIMITED` for a missing one."""
     return (
         -UNLIMITED if drive.lower is None else float(drive.lower),
         UNLIMITED if drive.upper is None else float(drive.upper),
@@ -115,7 +117,7 @@ def limits(drive: Drive) -> tuple[float, float]:
 
 
 def children_of(mechanism: KinematicTree) -> dict[str, list[Link]]:
-    """The links on every link, and on the base."""
+    """The child links of every link, and of the base."""
     children: dict[str, list[Link]] = {name: [] for name in mechanism.frames}
     for link in mechanism.links:
         children[mechanism.base if link.parent is None else link.parent].append(link)

@@ -1,1 +1,1 @@
-"""Figures of docs/measured.md: the sections of `python -m twistax report --figures`."""
+"""Measurements in docs/measured.md: the sections of `python -m twistax report --figures`."""

@@ -1,4 +1,4 @@
-"""What a call of `tx.integrate` costs beside its steps: in Python, and for saved times."""
+"""The overhead of a call of `tx.integrate` in addition to its steps: in Python, and for saved times."""
 
 from collections.abc import Callable
 from typing import Any

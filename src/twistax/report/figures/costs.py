@@ -1,4 +1,4 @@
-"""What lowering and importing cost, how often a landing is found, and the time at an error beside diffrax."""
+"""The cost of lowering and importing, the success rate of landings, and integration times compared with diffrax."""
 
 import dataclasses
 import functools

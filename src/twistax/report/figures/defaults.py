@@ -1,4 +1,4 @@
-"""What is done without being told: small functions as kernels in batches, long programs by XLA, kinds checked."""
+"""Measurements of defaults: small functions as kernels in batches, long programs by XLA, checks of kinds."""
 
 import time
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""How accurate derivatives are and what they cost: of a step, and of an integration."""
+"""Accuracy and cost of derivatives: of a step, and of an integration."""
 
 import functools
 from collections.abc import Callable

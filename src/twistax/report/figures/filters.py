@@ -1,4 +1,4 @@
-"""What a step of a filter costs: generated C beside a filter written by hand, and a batch beside filterpy."""
+"""The cost of a filter step: generated C compared with a hand-written filter, and a batch compared with filterpy."""
 
 import ctypes
 import tempfile

@@ -1,4 +1,6 @@
-"""The Hessian of the weighted forward dynamics of a Panda beside CasADi's: operations, and a batch of it beside C."""
+"""The Hessian of the weighted forward dynamics of a Panda compared with CasADi's: operations, and a batch compared with
+C.
+"""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Identities of Lie algebra and joints on random values, against references that share no formula with them.
+"""Identities of Lie algebra and joints at random values, against references that share no formula with them.
 
-The references are 4x4 matrices, forces that act at points, and SciPy's `expm` and `Rotation`; T = T_ab maps coordinates
-of frame b to frame a. Where a pairing is checked, each side is transformed by itself. An error is the largest entry of
-the difference, relative to the largest entry of the reference where that is above 1.
+The references are 4x4 matrices, forces that act at points, and SciPy's `expm` and `Rotation`. T = T_ab maps coordinates
+of frame b to frame a. In a pairing, each side is transformed separately. An error is the largest entry of the
+difference, relative to the largest entry of the reference if that is above 1.
 """
 
 import functools

@@ -1,4 +1,4 @@
-"""Matrices in loops by `tx.fast` beside JAX, and the gradient through a learned rate beside diffrax."""
+"""Matrices in loops by `tx.fast` compared with JAX, and the gradient through a learned rate compared with diffrax."""
 
 from collections.abc import Callable
 from functools import partial

@@ -1,4 +1,4 @@
-"""What a lookup in a table of numbers costs: by its points, its axes and its kind."""
+"""The cost of a lookup in a table of numbers: by its points, its axes and its kind."""
 
 from typing import Any
 

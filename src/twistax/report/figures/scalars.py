@@ -1,4 +1,4 @@
-"""Scalar programs: operations, agreement with arrays, what kernels of them cost."""
+"""Scalar programs: operations, agreement with arrays, and the cost of their kernels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Small matrices by `tx.fast`: beside C in a scan, and beside JAX."""
+"""Small matrices by `tx.fast`: compared with C in a scan, and with JAX."""
 
 import ctypes
 import functools

@@ -1,4 +1,4 @@
-"""What a step costs: in every chart, through diffrax, and beside C."""
+"""The cost of a step: in every chart, through diffrax, and compared with C."""
 
 import ctypes
 import functools

@@ -1,4 +1,6 @@
-"""Forward dynamics of a Panda and their Jacobian in native kernels, beside C in scalars and in vectors of eight."""
+"""Forward dynamics of a Panda and their Jacobian in native kernels, compared with C in scalars and in vectors of
+eight.
+"""
 
 import functools
 

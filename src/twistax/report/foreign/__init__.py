@@ -1,4 +1,4 @@
-"""Problems of others, as their authors state them, by plain IPOPT in CasADi and by this package."""
+"""Published problems as their authors state them, solved by plain IPOPT in CasADi and by this package."""
 
 import functools
 

@@ -1,4 +1,4 @@
-"""A chain of masses, and heat along a rod by the method of lines."""
+"""A chain of masses, and heat conduction along a rod by the method of lines."""
 
 import itertools
 import math

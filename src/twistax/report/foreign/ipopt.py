@@ -1,4 +1,4 @@
-"""The same problems in CasADi's Opti with plain IPOPT, written as its examples write them."""
+"""The same problems in CasADi's Opti with plain IPOPT, in the style of its examples."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The problems by the names that `--only` takes: those of `problems.toml`, and those whose formulas need loops."""
+"""The problems by the names that `--only` accepts: those of `problems.toml`, and those whose formulas need loops."""
 
 import functools
 import math

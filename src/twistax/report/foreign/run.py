@@ -1,4 +1,4 @@
-"""Both sides of a problem, one after the other in this process: first answers, and second solves."""
+"""Both solvers on a problem, successively in this process: the first solve, and a second one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A trajectory problem of others as data, which both sides read: their formulas once, their mesh, their guess."""
+"""A published trajectory problem as data for both solvers: formulas, mesh and guess."""
 
 from __future__ import annotations
 

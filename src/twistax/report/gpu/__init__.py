@@ -1,1 +1,1 @@
-"""`python -m twistax report --gpu`: kernels on a CUDA device beside XLA on the same device, and beside the CPU."""
+"""`python -m twistax report --gpu`: kernels on a CUDA device compared with XLA on the same device, and with the CPU."""

@@ -1,4 +1,4 @@
-"""Kernels of the CPU and the solver, in processes with a GPU and in processes without one, which take turns."""
+"""Kernels of the CPU and the solver, in processes with and without a GPU, which take turns."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is computed on both platforms: functions of batches, of single and double precision."""
+"""The functions that are computed on both platforms: functions of batches, in single and double precision."""
 
 from __future__ import annotations
 

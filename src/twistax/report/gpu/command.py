@@ -1,4 +1,4 @@
-"""Runs the sections one after the other, each in a process of its own: one that fails takes nothing else with it."""
+"""Runs the sections successively, each in a separate process, so that a failure does not affect the others."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _ROWS = "gpu.jsonl"
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Measure; rows are printed and written as they come. Returns 0, or 1 where a section failed."""
+    """Measure; rows are printed and written as they are measured. Returns 0, or 1 if a section failed."""
     from .sections import SECTIONS
 
     folder: Path = arguments.out

@@ -1,4 +1,4 @@
-"""Other packages on the same card: accelerations of the Panda's joints, without contacts and limits."""
+"""Other packages on the same GPU: accelerations of the Panda's joints, without contacts and limits."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The rows of `python -m twistax report --gpu`, section by section, each run in a process of its own."""
+"""The rows of `python -m twistax report --gpu`, section by section, each measured in a separate process."""
 
 from __future__ import annotations
 

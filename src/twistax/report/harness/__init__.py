@@ -1,1 +1,1 @@
-"""The harness of all reports: measurements, what is asked of them, how they are timed and kept, and pages."""
+"""The harness of all reports: measurements, expected results, timing, storage, and pages."""

@@ -20,7 +20,7 @@ class Absent(Exception):
 
 
 def needed(module: str, fix: str = "") -> Any:
-    """A module that may not be installed. Raises Absent where it is not; the message ends with how to get it."""
+    """A module that may not be installed. Raises Absent if it is not; the message ends with the way to install it."""
     if importlib.util.find_spec(module) is None:
         raise Absent(f"not run: {module} is not installed{fix and f'; pip install {fix}'}")
     return importlib.import_module(module)

@@ -1,4 +1,4 @@
-"""How results are shown: pages and tables as Markdown and HTML, each written once as a template, and figures."""
+"""The presentation of results: pages and tables as Markdown and HTML, each from one template, and figures."""
 
 import base64
 import html

@@ -1,4 +1,4 @@
-"""Reports: parts that are measured one after the other, compared with their bars, drawn and written as a page."""
+"""Reports: parts that are measured one after another, compared with their limits, drawn and written as a page."""
 
 import argparse
 import functools

@@ -1,4 +1,4 @@
-"""The one row of all reports, and how numbers are written."""
+"""The row type of all reports, and the format of numbers."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Key = tuple[str, str, str, str]
 
 @dataclasses.dataclass(frozen=True)
 class ReportRow:
-    """One measured value, and whether it is what was asked for."""
+    """A measured value, and whether it meets its expectation."""
 
     group: str  # the scene, function or section it belongs to
     what: str  # was measured

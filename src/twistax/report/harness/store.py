@@ -1,4 +1,4 @@
-"""Where rows are kept, and what says which of them belong together: versions, code, machine and effort."""
+"""Storage of rows, and the identification of rows that belong together: versions, code, machine and effort."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _VERSIONED = ("twistax", "jax", "jaxlib", "diffrax", "equinox", "numpy", KERNELS
 
 @dataclasses.dataclass(frozen=True)
 class Origin:
-    """Where rows come from. Rows of different origins are not compared."""
+    """The origin of rows. Rows of different origins are not compared."""
 
     versions: Mapping[str, str]  # of the packages in use
     code: str  # digest of the package's code; the demo, and what only writes pages, left out
@@ -72,7 +72,8 @@ def _machine() -> str:
 
 
 class Store:
-    """Rows of one origin in a JSON file, written whenever some are added: an interrupted run goes on where it stopped.
+    """Rows of one origin in a JSON file, which is written whenever rows are added, so that an interrupted run can be
+    resumed.
 
     Rows of another origin, and a file that is damaged, are dropped when it is opened; `dropped` counts rows.
     """
@@ -124,7 +125,7 @@ class Store:
 
 
 def save_csv(path: Path, rows: Iterable[ReportRow]) -> None:
-    """One row a line; further numbers are columns of their own."""
+    """Write one row per line; additional numbers are separate columns."""
     records = [row.record() for row in rows]
     columns = [field.name for field in dataclasses.fields(ReportRow) if field.name != "numbers"]
     numbers = dict.fromkeys(name for record in records for name in record["numbers"] if name not in columns)

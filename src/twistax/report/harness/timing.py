@@ -1,4 +1,6 @@
-"""How things are timed: compiling apart, competitors compared and then called in turn, calls waited for, medians."""
+"""Timing: compilation is timed separately, competitors are compared and then called in turn, calls are completed, and
+medians are taken.
+"""
 
 import dataclasses
 import functools

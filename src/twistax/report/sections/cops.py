@@ -1,7 +1,7 @@
 """Optimal control problems of COPS with their published optima.
 
-Source: Dolan, More, Munson, Benchmarking optimization software with COPS 3.0 (2004); problem numbers are its own,
-values those of the finest meshes of its tables.
+Source: Dolan, More, Munson, Benchmarking optimization software with COPS 3.0 (2004); the problem numbers are those of
+this paper, and the values those of the finest meshes of its tables.
 """
 
 import math

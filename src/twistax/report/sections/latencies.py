@@ -1,4 +1,4 @@
-"""How long controllers take: closed loops with kicks, in Python and in C."""
+"""Solve times of controllers: closed loops with disturbances, in Python and in C."""
 
 from __future__ import annotations
 

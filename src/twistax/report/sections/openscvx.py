@@ -1,4 +1,6 @@
-"""Problems as OpenSCvx states and solves them, and ours; both are integrated by our dense rollout."""
+"""Problems as OpenSCvx states and solves them, and the same problems in this package; both solutions are integrated by
+our dense rollout.
+"""
 
 import dataclasses
 import functools

@@ -1,4 +1,6 @@
-"""The control loops as CasADi states them: its SQP method in generated C, and Fatrop, beside a controller in C."""
+"""The control loops as CasADi states them: its SQP method in generated C, and Fatrop, compared with a controller in
+C.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A problem with all its states in one vector, whose entries then have units of their own."""
+"""A problem with all its states in one vector, whose entries have different units."""
 
 from typing import Any
 

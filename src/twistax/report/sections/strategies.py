@@ -1,4 +1,6 @@
-"""What each strategy around the interior point earns: published problems from several starts, with and without it."""
+"""The benefit of each strategy around the interior-point method: published problems from several starts, with and
+without it.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Whether SOLVED can be trusted: problems in other units, with wider limits, from several starts, all states in one
-vector; on one mesh each."""
+"""Tests of the status SOLVED: each problem is solved again in other units, with wider limits, from several starts and
+with all states in one vector, on one mesh."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What one evaluation of dynamics costs, by this package and by others, whose results are compared first."""
+"""The cost of one evaluation of dynamics, by this package and by others, whose results are compared first."""

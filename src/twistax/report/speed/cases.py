@@ -1,4 +1,4 @@
-"""What is evaluated: a free body and chains, as systems of the package and in plain matrices."""
+"""The functions that are evaluated: a free body and chains, as systems of the package and in plain matrices."""
 
 import dataclasses
 import functools

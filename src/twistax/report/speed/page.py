@@ -1,4 +1,4 @@
-"""`python -m twistax report --speed`: what is compared and timed, its bars, and the tables and figures of its page."""
+"""`python -m twistax report --speed`: its comparisons, its bars, and the tables and figures of its page."""
 
 import argparse
 import dataclasses

@@ -1,1 +1,1 @@
-"""What happens at the edges: the sections of `python -m twistax report --stability`."""
+"""Behaviour at extreme inputs: the sections of `python -m twistax report --stability`."""

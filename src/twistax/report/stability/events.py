@@ -1,4 +1,4 @@
-"""Events and jumps of controls at the edges of steps."""
+"""Events and jumps of controls at the ends of steps."""
 
 import functools
 from typing import Any

@@ -1,4 +1,4 @@
-"""Integrations that cannot reach their end, and input that is refused."""
+"""Integrations that cannot reach their end, and invalid input."""
 
 import functools
 from typing import Any

@@ -1,4 +1,4 @@
-"""Files of models: what is refused by name and line, what is noted and how it moves, and which folder may be read."""
+"""Model files: errors with name and line, notes, the resulting motion, and the folder restriction."""
 
 import tempfile
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Air above 86 km beside the published tables, and local axes at a pole."""
+"""The atmosphere above 86 km compared with published tables, and local axes at a pole."""
 
 from typing import Any
 

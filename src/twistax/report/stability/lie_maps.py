@@ -1,8 +1,9 @@
-"""How accurate exp, log and their Jacobians are on SE(3), against values with fifty digits. Needs mpmath.
+"""The accuracy of exp, log and their Jacobians on SE(3), against values with fifty digits. Needs mpmath.
 
-Each block of a result is judged alone. Its error is the largest entry of the difference, its unit the spacing of
-floating point numbers at the largest entry of the block (for the position of exp and log: at the largest entry of v).
-Beyond 1 rad the figure is divided by the angle, because rounding the angle itself moves the exact result that far.
+Each block of a result is assessed separately. Its error is the largest entry of the difference, and its unit the
+spacing of floating point numbers at the largest entry of the block (for the position of exp and log: at the largest
+entry of v). Beyond 1 rad the error is divided by the angle, because rounding the angle changes the exact result by that
+much.
 """
 
 import functools

@@ -1,4 +1,4 @@
-"""Masses that move within bodies, and closed loops whose rows nearly depend on one another."""
+"""Masses that move within bodies, and closed loops with nearly dependent constraints."""
 
 import functools
 from typing import Any

@@ -1,4 +1,4 @@
-"""Failed integrations in batches, derivatives and processes; rates with rounding noise; drift in single precision."""
+"""Failed integrations in batches, derivatives and processes; rates with round-off noise; drift in single precision."""
 
 import functools
 import subprocess

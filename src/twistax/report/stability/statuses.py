@@ -1,4 +1,6 @@
-"""Whether SOLVED means what it says: rows without slope, meshes too coarse, limits between nodes, warm starts."""
+"""Whether the status SOLVED is correct: rows with a vanishing gradient, coarse meshes, violations between nodes, warm
+starts.
+"""
 
 import functools
 from typing import Any

@@ -1,4 +1,6 @@
-"""What rows of scenes say: which methods agree with the truth, the time at an error, advice, and bars."""
+"""Evaluation of the rows of scenes: which methods agree with the exact solution, the time at an error, advice, and
+bars.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,7 @@ def _error(row: ReportRow) -> float:
 
 @dataclasses.dataclass(frozen=True)
 class Doubt:
-    """A method that did not come close to the truth of a scene."""
+    """A method that does not converge to the exact solution of a scene."""
 
     scene: str
     method: str

@@ -1,4 +1,4 @@
-"""The integrators of the report: each builds a program of a scene; programs of a scene are timed in turn."""
+"""The integrators of the report: each builds a program for a scene; the programs of a scene are timed in turn."""
 
 import dataclasses
 import functools

@@ -1,4 +1,4 @@
-"""`python -m twistax report`: scenes by methods, and what the page shows of them."""
+"""`python -m twistax report`: scenes by methods, and the content of the page."""
 
 import argparse
 import dataclasses

@@ -1,1 +1,1 @@
-"""Functions of arrays in parts: straight parts as scalars, loops and batches as kernels."""
+"""Functions of arrays in parts: straight-line parts as scalars, loops and batches as kernels."""

@@ -1,4 +1,4 @@
-"""Functions of JAX with what they call written out: what is left are operations, loops and branches."""
+"""Inlining of called functions in JAX functions, which leaves operations, loops and branches."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _SHORT = 16
 
 
 def inlined(program: ClosedJaxpr) -> ClosedJaxpr:
-    """The same function with called functions written out. Derivatives of their own are lost."""
+    """The function with called functions inlined. Their custom derivatives are lost."""
     if all(_called(eqn)[0] is None for eqn in program.jaxpr.eqns):
         return program
     avals: list[Any] = [v.aval for v in program.jaxpr.invars]
@@ -28,7 +28,7 @@ def inlined(program: ClosedJaxpr) -> ClosedJaxpr:
 
 
 def unrolled(program: ClosedJaxpr) -> ClosedJaxpr:
-    """The same function with its short loops written out too, such as those over the stages of a method."""
+    """The function with its short loops unrolled, too, such as those over the stages of a method."""
     avals: list[Any] = [v.aval for v in program.jaxpr.invars]
     shapes = (jax.ShapeDtypeStruct(a.shape, a.dtype) for a in avals)
     return jax.make_jaxpr(functools.partial(_evaluate, program, unroll=True))(*shapes)

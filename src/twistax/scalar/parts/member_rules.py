@@ -1,6 +1,6 @@
-"""For primitives that become scalars: whether an equation keeps the members of a batch apart along an axis.
+"""Rules for primitives with a scalar form: whether an equation keeps the members of a batch separate along an axis.
 
-It does if each part of its results along that axis depends on the same part of its operands alone. A rule gives the
+It does if each part of its results along that axis depends only on the same part of its operands. A rule returns the
 axes of operands and results, and the parameters of the equation for an axis of length one.
 """
 
@@ -18,7 +18,7 @@ Axes: TypeAlias = "list[int | None]"
 
 
 class Mixed(Exception):
-    """An equation mixes members of a batch, or no rule says that it does not."""
+    """An equation combines members of a batch, or no rule states that it keeps them separate."""
 
 
 #: rule(equation, length of the batch, known axes of the operands) -> axes of the operands, axes of the results, and

@@ -1,6 +1,7 @@
-"""Equations on whole batches, as `jax.vmap` leaves them, as functions of one member.
+"""Equations on whole batches, as `jax.vmap` produces them, as functions of one member.
 
-Where no rule keeps the members apart the batch ends. Equations of a batch may be run member by member in any case.
+The batch ends at an equation for which no rule keeps the members separate. The equations of a batch can always be
+executed member by member.
 """
 
 from __future__ import annotations
@@ -64,7 +65,7 @@ def one_member(eqn: Any, size: int, axes: Axes) -> OneMember:
 
 
 def spread_out(eqn: Any, size: int) -> OneMember | None:
-    """An equation that repeats something for each member, and only that; None for other equations."""
+    """An equation that only repeats something for each member; None for other equations."""
     if eqn.primitive.name != "broadcast_in_dim" or len(eqn.invars) != 1:
         return None
     shape, kept = eqn.params["shape"], eqn.params["broadcast_dimensions"]
@@ -79,7 +80,7 @@ def spread_out(eqn: Any, size: int) -> OneMember | None:
 
 
 class BodyOfMember:
-    """The jaxpr of a body, of which every equation keeps members apart, on one member.
+    """The jaxpr of a body whose equations all keep members separate, for one member.
 
     Attributes:
         operands, results: the axes of its arguments and results.
@@ -242,7 +243,7 @@ _LOOPS: Mapping[str, Rule] = {"scan": _scan, "cond": _cond, "while": _while}
 
 
 class BatchEquations:
-    """The equations of a jaxpr that keep the members of a batch apart.
+    """The equations of a jaxpr that keep the members of a batch separate.
 
     Attributes:
         size: the length of the batch.

@@ -1,4 +1,4 @@
-"""What the parts of a function are made of: equations that are loops, constants, and the parts themselves."""
+"""The elements of a function's parts: equations that are loops, constants, and the parts themselves."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _LARGEST = 1000
 
 
 class Reason(NamedTuple):
-    """Why something runs as it does.
+    """The reason for the form in which something is executed.
 
     Attributes:
         text: one sentence.
@@ -41,7 +41,7 @@ def reason_of(emission: Emission) -> Reason:
 
 @dataclasses.dataclass(frozen=True)
 class Part:
-    """Some equations of a function, with the function that runs them.
+    """Some equations of a function, with the function that executes them.
 
     Attributes:
         inputs, outputs: variables of the jaxpr.
@@ -70,7 +70,7 @@ def _operations(eqn: Any) -> int:
 
 
 class Constants:
-    """The values that depend on constants only, as small arrays: each part computes those that it reads.
+    """The values that depend only on constants, as small arrays: each part computes those that it reads.
 
     Attributes:
         made: the equations that do.

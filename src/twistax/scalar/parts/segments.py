@@ -1,4 +1,6 @@
-"""A function of arrays with loops and batches, in parts: straight parts as scalars, loops and batches as kernels."""
+"""A function of arrays with loops and batches, in parts: straight-line parts as scalars, loops and batches as
+kernels.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +49,7 @@ _TRIED = 4
 
 @weakly_kept
 class Segmented(ArrayProgram):
-    """A function of arrays that runs in parts. It is differentiated before it is split.
+    """A function of arrays that is executed in parts. It is differentiated before it is split.
 
     Args:
         program: the function.
@@ -83,7 +85,7 @@ def has_parts(program: ClosedJaxpr, backend: Backend) -> bool:
 
 
 def emit_segments(program: ClosedJaxpr, backend: Backend) -> tuple[Callable[..., list[jax.Array]], list[Reason]]:
-    """The function that runs a jaxpr, and a reason for each of its parts."""
+    """The function that executes a jaxpr, and a reason for each of its parts."""
     program = inlined(program)
     jaxpr, has_loops, batch = program.jaxpr, any(map(is_loop, program.jaxpr.eqns)), _batch(program, backend)
     emission = None

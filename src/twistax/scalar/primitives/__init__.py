@@ -1,1 +1,1 @@
-"""The table of primitives: one entry for each, with all that readers and writers know of it."""
+"""The table of primitives: one entry for each, with all information for readers and writers."""

@@ -1,4 +1,4 @@
-"""Cotangents on the graph, products that are multiplied only where necessary."""
+"""Reverse-mode derivatives (cotangents) on the graph, whose products are computed only where necessary."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _APART = 3
 
 
 class Cotangent(NamedTuple):
-    """weight rate, of which the rate takes the derivatives further back.
+    """A cotangent weight * rate; the rate is propagated further back.
 
     The cotangent of the divisor in p / r^3 is -(p / r^3) / r^3, which is zero in floating point at large r where its
     product with 3 r^2 is not. Its weight is -p / r^3 c, its rate 1 / r^3: of the size of the relative change of r^3, as
@@ -41,7 +41,7 @@ class Cotangent(NamedTuple):
 
 
 class Cotangents(Mapping[int, int]):
-    """The cotangents of nodes, each the sum of the contributions of its readers."""
+    """The cotangents of nodes, each the sum of the contributions of the nodes that read it."""
 
     def __init__(self, graph: Graph) -> None:
         self._graph = graph

@@ -33,7 +33,7 @@ Tangents: TypeAlias = Sequence[Sequence[int | None]]
 
 
 def up_to(entries: float) -> Callable[[Any], bool]:
-    """A test whether all arrays that an equation reads and makes have at most so many entries."""
+    """A test whether all arrays that an equation reads and writes have at most this number of entries."""
     return lambda eqn: max((v.aval.size for v in (*eqn.invars, *eqn.outvars)), default=0) <= entries
 
 
@@ -46,7 +46,7 @@ ALWAYS = up_to(math.inf)
 
 
 def default(name: str) -> Callable[[Mapping[str, Any]], bool]:
-    """A test whether a parameter is left out."""
+    """A test whether a parameter has its default."""
     return lambda params: params.get(name) is None
 
 
@@ -108,7 +108,7 @@ class Entry:
 
 
 def in_numpy(function: Callable[..., Any]) -> Callable[..., Any]:
-    """A function of NumPy's arrays alone as `numpy` of an entry."""
+    """A function of NumPy arrays only, for the field `numpy` of an entry."""
     return lambda params, *arrays: function(*arrays)
 
 
@@ -124,7 +124,7 @@ moving = functools.partial(Entry, any_type=True, inside=ALWAYS, moves=True)
 
 
 class Forms(NamedTuple):
-    """The forms of an operation in another language, by the type of its last argument; None if there is none.
+    """The code of an operation in another language, by the type of its last argument; None if there is none.
 
     In C: an expression in $a, $b, $c; $T and $R are the types of the arguments and the result, $U is an unsigned
     type to add integers in, $f the suffix of libm's names, $least and $most the ends of the result's type.
@@ -146,18 +146,18 @@ _NOWHERE = Forms()
 
 
 def everywhere(form: Any) -> Forms:
-    """The same form on all types."""
+    """The same code for all types."""
     return Forms(form, form, form)
 
 
 def code(method: str, *first: Any) -> Any:
-    """By a method of LLVM's `Code`."""
+    """Code by a method of the LLVM writer `Code`."""
     return lambda code, kind, *values: getattr(code, method)(*first, kind, *values)
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class Operation(Entry):
-    """An operation on scalars; `name` is what counts and pictures call it, that of JAX's primitive where there is one.
+    """An operation on scalars; `name` is used in counts and pictures, and is that of JAX's primitive if there is one.
 
     Attributes:
         number: the operation on NumPy scalars or arrays.
@@ -228,7 +228,7 @@ def _weighted(g: Graph, slope: int | tuple[int, int], tangent: int) -> int:
 
 
 class Select(Operation):
-    """a where c, else b. Derivatives are selected too: nothing of the other branch is multiplied."""
+    """a where c, else b. Derivatives are selected, too: nothing of the other branch is multiplied."""
 
     def tangents(self, g: Graph, arguments: tuple[int, ...], node: int, directions: Tangents) -> list[int | None]:
         zero = g.constant(0.0, g.dtypes[node])
@@ -243,7 +243,7 @@ class Select(Operation):
 
 
 class Convert(Operation):
-    """The conversion to another type. Linear between floating-point types, else of no derivative."""
+    """The conversion to another type. Linear between floating-point types; otherwise it has no derivative."""
 
     def tangents(self, g: Graph, arguments: tuple[int, ...], node: int, directions: Tangents) -> list[int | None]:
         linear = self._linear(g, arguments, node)
@@ -262,7 +262,9 @@ class Convert(Operation):
 
 @functools.cache
 def convert(dtype: np.dtype[Any]) -> Operation:
-    """The conversion to a type: to truth whether it is not zero; to integers the whole part in range, of NaN zero."""
+    """The conversion to a type: to booleans, whether the number is not zero; to integers, the whole part, saturated,
+    and zero for NaN.
+    """
     cast, in_range = "($R)$a", "isnan($a) ? 0 : $a <= ($T)$least ? $least : $a >= ($T)$most ? $most : ($R)$a"
     c = {"b": everywhere("$a != 0"), "f": everywhere(cast)}.get(dtype.kind, Forms(in_range, cast, cast))
     casadi = {
@@ -305,7 +307,7 @@ def quotient(a: Any, b: Any) -> Any:
 
 
 def remainder(a: Any, b: Any) -> Any:
-    """As XLA has it: with the sign of the dividend; by zero the dividend."""
+    """The remainder as in XLA: with the sign of the dividend; by zero it is the dividend."""
     if np.asarray(a).dtype.kind not in "iu":
         return np.fmod(a, b)
     return np.where(b == 0, a, np.fmod(a, np.where(b == 0, np.ones_like(b), b)))

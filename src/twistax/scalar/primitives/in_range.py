@@ -1,4 +1,4 @@
-"""Quotients and norms as operations of JAX, whose derivatives neither overflow nor underflow before they must.
+"""Quotients and norms as operations of JAX, whose derivatives do not overflow or underflow prematurely.
 
 JAX's derivative of a / b by b is -a b^-2 db, and that of sqrt(sum x^2) passes through the sum of squares. In single
 precision b^-2 is zero for b beyond 1e19, as r^3 is at 7e6 m from the centre of the Earth, and x^2 infinite.
@@ -73,7 +73,9 @@ _taylor_rules[quotient_p] = jet.jet_rules[jax.lax.div_p]
 
 
 def behind_barrier(x: jax.Array) -> jax.Array:
-    """x behind a barrier: XLA forms no products of a part of x with other factors, which may be out of range."""
+    """x behind an optimization barrier, so that XLA does not combine it with other factors whose product may be out of
+    range.
+    """
     result: jax.Array = apart_p.bind(x)
     return result
 

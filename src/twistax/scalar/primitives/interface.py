@@ -1,4 +1,4 @@
-"""The interfaces of a graph of scalars and of a reader of jaxprs for the table of primitives; and arrays of nodes."""
+"""The interfaces between the table of primitives, graphs of scalars and readers of jaxprs; and arrays of nodes."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ Nodes: TypeAlias = NDArray[Any]
 
 @dataclasses.dataclass(frozen=True)
 class Limits:
-    """The sizes up to which library calls and loops are unrolled: larger ones take the compiler too long.
+    """The sizes up to which library calls and loops are unrolled, because larger ones take too long to compile.
 
     Attributes:
-        pivoted: of matrices with pivoted LU, where the choice of pivots takes more than the elimination.
-        table: of tables that are read at a place known only at run time, by comparison with each place.
-        equations: loops, all iterations together, and branches.
+        pivoted: the size of a matrix with pivoted LU. The choice of pivots takes more than the elimination.
+        table: the size of a table with an index known only at run time. The index is compared with each place.
+        equations: the equations of a loop, all iterations together, or of branches.
     """
 
     pivoted: int = 4
@@ -87,7 +87,7 @@ def nodes(flat: Iterable[int], shape: Iterable[int]) -> Nodes:
 
 
 def flat(*arrays: Nodes) -> list[int]:
-    """The nodes of arrays, one after the other."""
+    """The nodes of arrays, concatenated."""
     return [node for array in arrays for node in array.reshape(-1).tolist()]
 
 
@@ -98,7 +98,7 @@ def each(function: Callable[..., int], *arrays: Nodes) -> Nodes:
 
 
 def gathered(a: Nodes, axes: Collection[int]) -> tuple[list[list[int]], tuple[int, ...]]:
-    """The entries over the axes, one list for each of the rest, and the shape of the rest."""
+    """The entries over the axes, one list for each index of the other axes, and the shape of these."""
     kept = [i for i in range(a.ndim) if i not in axes]
     shape = tuple(a.shape[i] for i in kept)
     count = math.prod(a.shape[i] for i in axes)

@@ -1,4 +1,4 @@
-"""Whole powers, with the derivative n x^(n-1) by powers themselves."""
+"""Whole powers, whose derivative n x^(n-1) is a power, too."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def by_squaring(multiply: Callable[[Number, Number], Number], x: Number, n: int)
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class WholePower(Operation):
-    """x^n. Emitters write products of x, or of 1 / x.
+    """x^n. Code writers expand it to products of x, or of 1 / x.
 
     No product leaves the range of numbers unless the power does: 1 / (x x x) is zero, or infinite, where x x x is too
     large, or too small, and x^-3 is not.
@@ -74,7 +74,7 @@ def whole_power(n: int) -> WholePower:
 
 
 def power(g: Graph, x: int, n: int) -> int:
-    """The node of x^n for a whole number n; of (1 / x)^n that of x^-n."""
+    """The node of x^n for a whole number n; for x^-n that of (1 / x)^n."""
     if n > 1 and (below := g.reciprocal_of(x)) is not None:
         return power(g, below, -n)
     if n in (0, 1):
@@ -85,7 +85,7 @@ def power(g: Graph, x: int, n: int) -> int:
 
 
 def factors_in_range(g: Graph, a: int, b: int) -> tuple[int, int] | None:
-    """Two factors of a b that are in range where a and the product are, for b = c y^-n; None: a and b themselves.
+    """Two factors of a b, for b = c y^-n, that are representable if a and the product are; None: a and b themselves.
 
     a y^-2 is (a / y) / y, and a y^-n is (a / y) y^(1-n) where y^(1-n) is known: each lies between a and the product.
     (a d) y^-2 is (a / y) (d / y) where a / y is known. The first is what JAX makes of the derivative of a power, the

@@ -1,7 +1,7 @@
-"""The table of primitives of JAX: readers and writers take all that they know of one from its entry.
+"""The table of primitives of JAX, which contains all information about a primitive for readers and writers.
 
-What is not in it, or has parameters that its entry does not know, stays a call of JAX, with the same numbers. Here are
-the entries of calls, loops and branches, and of functions with a derivative of their own.
+A primitive without an entry, or with parameters that its entry does not know, remains a call of JAX, with the same
+numbers. This file has the entries of calls, loops and branches, and of functions with custom derivatives.
 """
 
 from __future__ import annotations
@@ -194,7 +194,7 @@ TABLE: dict[str, Entry] = {
 
 
 def entry_of(eqn: Any) -> Entry | None:
-    """The entry of an equation; None where there is none, or where it does not understand all parameters.
+    """The entry of an equation; None if there is none, or if it does not support all parameters.
 
     One warning for names of parameters that it does not know.
     """
@@ -207,5 +207,5 @@ def entry_of(eqn: Any) -> Entry | None:
 
 
 def say_unread(error: Unread) -> None:
-    """Log once that an operation stays a call of JAX."""
+    """Log once that an operation remains a call of JAX."""
     say_once(f"{error}, which this twistax does not know: JAX executes this operation")

@@ -1,7 +1,7 @@
-"""The load of an entry of a constant table at a computed place, as one operation of JAX.
+"""The load of an entry of a constant table at a computed index, as one operation of JAX.
 
-Written as an index into a constant array it would be a gather, whose table is an operand like any other: scalar
-programs would make a node of each of its numbers, and choose among them.
+As an index into a constant array it would be a gather, whose table is an ordinary operand: scalar programs would make a
+node of each of its numbers, and select among them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ...jax_inside import Primitive, ad, batching, jet, mlir
 
 
 class Table:
-    """Numbers in a row. A value: equal where the numbers are.
+    """A one-dimensional array of numbers, compared by value.
 
     Attributes:
         values: (n,), float64.

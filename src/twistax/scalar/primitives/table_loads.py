@@ -30,7 +30,7 @@ _KNOWN: weakref.WeakValueDictionary[Any, Load] = weakref.WeakValueDictionary()
 
 
 def load_of(table: Table, offset: int, dtype: np.dtype[Any]) -> Load:
-    """The one operation that loads from a table, at an offset, in a type."""
+    """The unique operation that loads from a table, at an offset, in a type."""
     key = (table, offset, dtype)
     operation = _KNOWN.get(key)
     if operation is None:

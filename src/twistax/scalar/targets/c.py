@@ -1,7 +1,7 @@
 """Types, numbers and operations in C99.
 
-Real numbers follow the operations' meaning in JAX, also where libm's function of the name differs: max and min pass
-NaN on. Integers wrap around and never divide by zero, as XLA's.
+Operations on real numbers have the semantics of JAX, also where the libm function of the same name differs: max and min
+propagate NaN. Integers wrap around and never trap on division by zero, as in XLA.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from ..primitives.entry import Operation
 
 @dataclasses.dataclass(frozen=True)
 class CType:
-    """A scalar type of C and the NumPy type that it is."""
+    """A scalar type of C and the corresponding NumPy type."""
 
     name: str
     dtype: np.dtype[Any]
@@ -76,7 +76,7 @@ def c_type(dtype: np.dtype[Any]) -> CType:
     if dtype.kind in "iu":
         return CType(f"{dtype.name}_t", dtype)
     if dtype.name not in names:
-        raise ModelError(f"C99 code has no numbers of type {dtype.name}; the system works in them somewhere")
+        raise ModelError(f"the system uses numbers of type {dtype.name}, which C99 does not have")
     return CType(names[dtype.name], dtype)
 
 
@@ -88,7 +88,7 @@ def expression(operation: Operation, argument: CType, result: CType, values: Seq
     """
     form = operation.c.of(argument.dtype)
     if form is None:
-        raise ModelError(f"C99 code has no {operation.name} of {argument.name}")
+        raise ModelError(f"C99 code does not support the operation {operation.name} for {argument.name}")
     words = {"T": argument.name, "R": result.name, "U": argument.unsigned, "f": argument.suffix}
     if result.dtype.kind in "iu":
         ends = np.iinfo(result.dtype)

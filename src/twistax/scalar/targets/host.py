@@ -1,4 +1,4 @@
-"""Functions of JAX evaluated once by NumPy, for messages after a failure: nothing is compiled."""
+"""Functions of JAX evaluated once by NumPy, without compilation, for messages after a failure."""
 
 from __future__ import annotations
 

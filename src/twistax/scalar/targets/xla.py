@@ -1,4 +1,4 @@
-"""A scalar program as JAX operations on scalars."""
+"""Scalar programs as JAX operations on scalars."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def as_function(
 
 
 def without_barriers(program: ScalarProgram) -> Callable[..., list[jax.Array]]:
-    """The program as operations alone, for `jax.experimental.jet`: barriers have no Taylor series.
+    """The program without optimization barriers, which have no Taylor series, for `jax.experimental.jet`.
 
     Raises:
         NotImplementedError: it calls functions of JAX.

@@ -1,1 +1,1 @@
-"""Scenes with rates that die away much faster than the motion."""
+"""Stiff scenes: with rates that decay much faster than the motion."""

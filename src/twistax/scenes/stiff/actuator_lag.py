@@ -47,7 +47,7 @@ LAGS = (1e-4, 1e-5, 1e-6)
 
 
 def scene(lag: float = 1e-5) -> Scene:
-    """The scene with this tau, s. The true end is known for those of `LAGS`."""
+    """The scene with this tau, s. The exact final state is known for those of `LAGS`."""
     return Scene(
         **said("actuator-lag", lag=f"{lag:.0e}"),
         build=system,

@@ -1,4 +1,4 @@
-"""A body held to a slowly moving attitude by a stiff spring and a stiff damper."""
+"""A body that a stiff spring and damper hold at a slowly moving attitude."""
 
 import numpy as np
 
@@ -34,7 +34,7 @@ RATES = tuple(10.0**n for n in range(2, 9))
 
 
 def scene(rate: float = 1e5) -> Scene:
-    """The scene with this k. The true end is known for those of `RATES`."""
+    """The scene with this k. The exact final state is known for those of `RATES`."""
     return Scene(
         **said("stiff-attitude", rate=f"{rate:.0e}", time=f"{1.0 / rate:.0e}"),
         build=system,

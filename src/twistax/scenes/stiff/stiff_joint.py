@@ -1,4 +1,4 @@
-"""Two bodies held together at a point by a very stiff spring and damper: a ball joint as simulators like to have it."""
+"""Two bodies that a very stiff spring and damper hold together at a point: a ball joint in penalty form."""
 
 import numpy as np
 

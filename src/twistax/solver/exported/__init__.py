@@ -1,1 +1,1 @@
-"""Transcribed problems as C99: kernels as functions, and the numbers of phases as constants."""
+"""Export of transcribed problems as C99: kernels as functions, and the numbers of phases as constants."""

@@ -1,4 +1,4 @@
-"""Kernels as functions of C99, called as the core calls machine code: with a table of addresses and strides."""
+"""Kernels as C99 functions with the calling convention of the core's machine code: a table of addresses and strides."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class KernelCode:
         except (*REFUSALS, NotNative) as error:
             raise TrajectoryError(
                 f"to_c: {what} has no scalar form: {error}\n"
-                "  fix: write it with nodes, without functions of JAX that call a library or the host"
+                "  fix: use nodes, without JAX functions that call a library or the host"
             ) from error
         name = f"kernel_{len(self.operations)}_{what}"
         used, text = _function(name, program)

@@ -1,4 +1,4 @@
-"""Compiled systems for other programs: C99, CasADi, files."""
+"""Export of compiled systems: C99, CasADi, files."""
 
 import dataclasses
 from pathlib import Path
@@ -6,11 +6,11 @@ from pathlib import Path
 
 @dataclasses.dataclass(frozen=True)
 class CFiles:
-    """Where C code was written.
+    """The paths of generated C code.
 
     Attributes:
-        header, source: what a program includes and links.
-        test: a program that compares both with reference values, and ends with 0 where they agree.
+        header, source: the files that a program includes and links.
+        test: a program that compares the code with reference values, and returns 0 if they agree.
     """
 
     header: Path

@@ -1,4 +1,4 @@
-"""C99 files of a compiled system: header and source by `c_code.py`, and a test main with reference values."""
+"""C99 files of a compiled system: header and source by `c_code.py`, and a test program with reference values."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def write_functions(
     names = identifiers([*exporter.arguments, *of_functions])
     chosen_points = _drawn_points(exporter) if points is None else [_point(exporter, point) for point in points]
     if not chosen_points:
-        raise InputError("points expects at least one (t, x, u, params); left out, some are drawn")
+        raise InputError("points expects at least one (t, x, u, params).\n  fix: leave points out for random ones")
     allowed = _TOLERANCES[real.dtype.name] if tolerance is None else tolerance
     number("tolerance", allowed, "a finite number that is not negative", lambda size: 0.0 <= size < np.inf)
     folder, code = path_of("directory", directory), CCode(name, exporter, functions, names, real)
@@ -86,7 +86,7 @@ def check_name(name: str) -> None:
     if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
         raise InputError(f"name expects a letter, then letters, digits and underscores, got {name!r}")
     if name.lower() in _STANDARD.split():
-        raise InputError(f"name expects another one than {name!r}: {name.lower()}.h is a header of C itself")
+        raise InputError(f"name expects a name that no C header has, got {name!r}: {name.lower()}.h is a header of C")
 
 
 def _real(dtype: Any) -> CType:
@@ -114,20 +114,18 @@ def _functions(exporter: Exporter, jacobian: Sequence[str], step: Any) -> list[E
 
 
 def write_files(folder: Path, texts: dict[Path, str]) -> None:
-    """Write the files. Files of an earlier call are replaced; other files are refused."""
+    """Write the files. Files of an earlier call are replaced; other files raise an error."""
     try:
         for path in texts:
             if path.exists() and not path.read_text(errors="replace").startswith(MARK):
                 raise InputError(
-                    f"{str(path)!r} exists and was not written by twistax.\n  fix: move it, or give another name="
+                    f"{str(path)!r} exists and was not written by twistax.\n  fix: move it, or pass another name="
                 )
         folder.mkdir(parents=True, exist_ok=True)
         for path, text in texts.items():
             path.write_text(text, encoding="ascii")
     except OSError as error:
-        raise InputError(
-            f"cannot write C code to {str(folder)!r}: {error}.\n  fix: give a folder to write to"
-        ) from None
+        raise InputError(f"cannot write C code to {str(folder)!r}: {error}.\n  fix: pass a writable folder") from None
 
 
 # ---- the test main ---------------------------------------------------------------------------------------------------
@@ -136,7 +134,7 @@ def write_files(folder: Path, texts: dict[Path, str]) -> None:
 def _point(exporter: Exporter, point: Sequence[Any]) -> Point:
     """(t, x, u, params) as arrays in the order of the arguments; parameters may be left out."""
     if not isinstance(point, Sequence) or not 2 <= len(point) <= 4:
-        raise InputError(f"points expects (t, x, u, params) each, the last two may be left out, got {point!r}")
+        raise InputError(f"points expects tuples (t, x, u, params), of which the last two are optional, got {point!r}")
     t, x, u, params = [*point, None, None][:4]
     inputs = exporter.dynamics.prepare(t, x, u, params, reads=("rates", "outputs", "constraints"))
     # As they were given where they were: prepared ones may be of single precision.

@@ -47,17 +47,18 @@ def mark() -> str:
 
 
 def filled(template: str, **parts: Any) -> str:
-    """A template of this folder with its parts filled in."""
+    """A template of this folder with its placeholders filled in."""
     return Template(Path(__file__).with_name(template).read_text()).substitute(parts)
 
 
 def identifiers(ports: Sequence[Port]) -> dict[Port, str]:
-    """What each array is called: a prefix of its kind, and its name, in which what C does not allow is an underscore.
+    """The C name of each array: a prefix for its kind, and its name with underscores in place of characters that C does
+    not allow.
 
-    Letters beyond ASCII become their numbers: u03c9.
+    Letters beyond ASCII are replaced by their numbers: u03c9.
 
     Raises:
-        ModelError: two arrays get one name.
+        ModelError: two arrays get the same name.
     """
     ports_by_name: dict[str, Port] = {}
     for port in ports:
@@ -67,7 +68,8 @@ def identifiers(ports: Sequence[Port]) -> dict[Port, str]:
         name = kind if port.by_value else f"{kind}_{re.sub(r'[^A-Za-z0-9_]', '_', plain)}"
         if name in ports_by_name:
             raise ModelError(
-                f"{ports_by_name[name].name!r} and {port.name!r} would both be called {name} in C.\n  fix: rename one"
+                f"{ports_by_name[name].name!r} and {port.name!r} would both have the name {name} in C.\n"
+                "  fix: rename one"
             )
         ports_by_name[name] = port
     return {port: name for name, port in ports_by_name.items()}
@@ -84,7 +86,7 @@ class CCode:
     real: CType  # of all numbers
 
     def header(self) -> str:
-        """The text of the header: call convention and declarations."""
+        """The text of the header: interface and declarations."""
         constants = "".join(f"extern {head};\n" for head in self._defaults())
         if constants:
             constants = f"/* The parameters' own values, to pass where no others are wanted. */\n{constants}\n"
@@ -128,7 +130,9 @@ class CCode:
         return self.head_of(function.name, function, [])
 
     def head_of(self, name: str, function: ExportedFunction, counts: Sequence[str]) -> str:
-        """The head of a function with the arguments and results of another one, and counts before the results."""
+        """The declaration of a function with the arguments and results of another one, and counts before the
+        results.
+        """
         real, names = self.real.name, self.names
         listed = [
             f"{real} {names[port]}" if port.by_value else f"const {real} *{names[port]}"
@@ -181,7 +185,7 @@ class CCode:
 
 @dataclasses.dataclass(frozen=True)
 class StepLoop:
-    """The C function that takes n steps one after the other."""
+    """The C function that takes n successive steps."""
 
     code: CCode
     step: ExportedFunction
@@ -217,7 +221,7 @@ def body(function: ExportedFunction, arguments: Sequence[Port], names: Mapping[P
     """The lines of a function.
 
     Raises:
-        ModelError: a type that C has not, or has no such operation of.
+        ModelError: a type that C does not have, or that lacks an operation.
     """
     program, g, every = function.program, function.program.graph, [*arguments, *function.extra]
     lines: list[str] = []

@@ -24,7 +24,7 @@ def to_casadi(dynamics: Functions, families: str | Sequence[str], name: str, che
         raise ModelError(f"to_casadi needs CasADi ({error}).\n  fix: pip install 'twistax[casadi]'") from None
     exporter = Exporter(dynamics, np.float64, checked)
     if not casadi.Function.check_name(name):
-        raise InputError(f"name expects what CasADi allows, letters, digits and single underscores, got {name!r}")
+        raise InputError(f"name expects letters, digits and single underscores, as CasADi does, got {name!r}")
     named: list[Any] = list(families) if isinstance(families, (tuple, list)) else [families]
     for family in named:
         if family not in dynamics.families:
@@ -43,7 +43,8 @@ def to_casadi(dynamics: Functions, families: str | Sequence[str], name: str, che
     twice = sorted({name for name in everything if everything.count(name) > 1})
     if twice:
         raise ModelError(
-            f"a CasADi function names each of its arguments and results differently; {twice[0]!r} stands for two.\n"
+            "a CasADi function needs distinct names of its arguments and results, but two have the name "
+            f"{twice[0]!r}.\n"
             "  fix: rename one, or request fewer families"
         )
     # CasADi takes zero for what is not given: a mass of zero would go unnoticed, NaN does not.
@@ -92,12 +93,12 @@ def _results(
 
 
 def expression(casadi: Any, operation: Operation, dtype: np.dtype[Any], *arguments: Any) -> Any:
-    """An operation on arguments of a type in CasADi.
+    """An operation on arguments of a type, in CasADi.
 
     Raises:
-        ModelError: CasADi has no such operation.
+        ModelError: CasADi does not have the operation.
     """
     form = operation.casadi.of(dtype)
     if form is None:
-        raise ModelError(f"CasADi has no {operation.name} of {dtype.name}")
+        raise ModelError(f"CasADi does not have the operation {operation.name} for {dtype.name}")
     return form(casadi, *arguments)

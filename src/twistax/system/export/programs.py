@@ -1,4 +1,4 @@
-"""The functions of a compiled system as scalar programs that call nothing, for writers of other languages."""
+"""The functions of a compiled system as scalar programs without calls, for export to other languages."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ TEST_STEP = 2.0**-7
 
 @dataclasses.dataclass(frozen=True)
 class Port:
-    """An array that goes into a function or comes out of it."""
+    """An array that is an argument or a result of a function."""
 
     #: "t", "x", "u", "params", "h" of arguments; "rate", "output", "constraint", "jacobian", "next" of results; of
     #: filters "P", the covariance, "z", a measured value, and "nis".
@@ -42,7 +42,7 @@ class Port:
 
     @property
     def by_value(self) -> bool:
-        """Whether C takes it as a number, not as a pointer."""
+        """Whether C passes it as a number, not as a pointer."""
         return self.kind in ("t", "h")
 
 
@@ -59,11 +59,11 @@ class ExportedFunction:
 
 
 class Exporter:
-    """The functions of a compiled system in one precision, whatever JAX's x64 switch says.
+    """The functions of a compiled system in one precision, independent of JAX's x64 setting.
 
     Arguments of all of them are the time, the states, the controls and the parameters, in the order of declaration.
-    `checked` is as of `tx.XLA`: keep 0 x, 0 / x and x - x, which differ from zero where x is not finite. Controls named
-    in `without` are left out.
+    `checked` is as for `tx.XLA`: 0 x, 0 / x and x - x, which differ from zero if x is not finite, are not simplified.
+    Controls named in `without` are omitted.
     """
 
     def __init__(self, dynamics: Functions, dtype: Any, checked: bool = False, without: Collection[str] = ()) -> None:
@@ -90,11 +90,11 @@ class Exporter:
             return exported(name, name.removesuffix("s"), list(self.dynamics.families[name]), program, arrays)
 
     def jacobian(self, wrt: Sequence[str]) -> ExportedFunction:
-        """The derivatives of the rates in the tangent space, a matrix (n, m) for each of "x", "u", "params" in wrt.
+        """The derivatives of the rates in the tangent space: a matrix (n, m) for each of "x", "u", "params" in wrt.
 
         Raises:
             ModelError: a part has no scalar form, or the program is too large.
-            InputError: another entry in wrt.
+            InputError: an unknown entry in wrt.
         """
         with jax.enable_x64(self.dtype == np.float64):
             zeros = [jnp.zeros(p.shape, self.dtype) for p in self.arguments]
@@ -111,7 +111,7 @@ class Exporter:
         """The states after one step of length h with constant controls.
 
         Args:
-            advance: of t, x, u, params and h; pure and traceable.
+            advance: a pure and traceable function of t, x, u, params and h.
         Raises:
             ModelError: the step has no scalar form, or the program is too large.
         """
@@ -126,7 +126,7 @@ class Exporter:
         function: Callable[..., list[jax.Array]],
         extra: Mapping[Port, np.ndarray],
     ) -> ExportedFunction:
-        """A function of t, x, u, params and more arguments, which come with values for references.
+        """A function of t, x, u, params and additional arguments, which have values for the reference computation.
 
         Raises:
             ModelError: it has no scalar form, or the program is too large.
@@ -151,15 +151,15 @@ def exported(
     program: ScalarProgram,
     arrays: Callable[..., list[jax.Array]],
 ) -> ExportedFunction:
-    """A function with every call unrolled, without results that have no entry."""
+    """A function with all calls inlined, without empty results."""
     form = emitted_form(program, limits=_LIMITS)
     if form.calls:
         first = "an explicit method for steps, or " if name == "step" else ""
         raise ModelError(
             f"the {name} call {called_names(form.calls)}, without a scalar form.\n  fix: {first}"
-            "bake the parameters it works on, write it with other nodes, or leave this function out; "
-            "solves are unrolled up to "
-            f"{_LIMITS.pivoted} x {_LIMITS.pivoted}, tables up to {_LIMITS.table} places"
+            "make the parameters that it reads constants by bake=, write it with other nodes, or leave "
+            "this function out; linear solves are unrolled up to {_LIMITS.pivoted} x {_LIMITS.pivoted}, "
+            "tables up to {_LIMITS.table} entries"
         )
     kept = [k for k, nodes in enumerate(form.outputs) if nodes.size]
     ports = tuple(Port(kind, results[k], form.outputs[k].shape) for k in kept)

@@ -1,9 +1,9 @@
-"""Compiled systems in files.
+"""Saving and loading of compiled systems.
 
-A file is a zip archive: `system.json` holds the expressions as a list of nodes, arguments first, the declarations and
-how the system was compiled; `arrays/0.npy`, ... the arrays. What is saved is the tree, not the code made of it: it is
-small, says what the system means, holds nothing that runs when it is read, and code is made anew for the machine that
-loads it.
+A file is a zip archive: `system.json` contains the expressions as a list of nodes, operands first, the declarations and
+the compile options; `arrays/0.npy`, ... contain the arrays. It contains the expressions, not the code made from them:
+it is small, states the meaning of the system, and contains nothing executable; code is compiled again on the machine
+that loads it.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def save(dynamics: Functions, path: str | Path) -> None:
     """Implements `Dynamics.save`.
 
     Raises:
-        ModelError: a field that has no plain form.
+        ModelError: a field that cannot be written as plain data.
         InputError: the file cannot be written.
     """
     arrays: list[NDArray[Any]] = []
@@ -92,12 +92,12 @@ def save(dynamics: Functions, path: str | Path) -> None:
     except OSError as error:
         partial.unlink(missing_ok=True)
         raise InputError(
-            f"cannot save to {str(target)!r}: {error}.\n  fix: give a path in a folder that is there"
+            f"cannot save to {str(target)!r}: {error}.\n  fix: pass a path in an existing folder"
         ) from None
 
 
 def read(path: str | Path) -> tuple[System, dict[str, Any]]:
-    """The system of a file, and the options of `tx.compile`. Raises what `tx.load` raises."""
+    """The system in a file, and the options of `tx.compile`. Raises the errors of `tx.load`."""
     path = path_of("load: path", path)
     place = repr(str(path))
     try:
@@ -106,13 +106,14 @@ def read(path: str | Path) -> tuple[System, dict[str, Any]]:
             if size > _LARGEST:
                 raise InputError(
                     f"{place} declares {size:.3g} bytes, but a saved system has at most {_LARGEST:.3g}.\n"
-                    "  fix: give a file that Dynamics.save wrote; pass larger tables as parameters"
+                    "  fix: use a file that Dynamics.save wrote, and pass larger tables as parameters"
                 )
             content = json.loads(archive.read(_JSON))
             if content["format"] != _FORMAT:
                 raise InputError(
-                    f"{place} was saved by twistax {content['twistax']} in format {content['format']}; this is twistax "
-                    f"{version()}, which reads format {_FORMAT}.\n  fix: load it with twistax {content['twistax']}, or "
+                    f"{place} was saved by twistax {content['twistax']} in format {content['format']}; but "
+                    f"twistax {version()} reads format {_FORMAT}.\n"
+                    f"  fix: load it with twistax {content['twistax']}, or "
                     "save the system again with this one"
                 )
             arrays = [_array(archive.read(f"arrays/{k}.npy")) for k in range(content["arrays"])]
@@ -124,16 +125,16 @@ def read(path: str | Path) -> tuple[System, dict[str, Any]]:
                 f"{content['twistax']} saved them.\n  fix: load the file with that version"
             )
     except FileNotFoundError:
-        raise InputError(f"there is no file {place}, load needs one that Dynamics.save wrote") from None
+        raise InputError(f"there is no file {place}; load expects a file that Dynamics.save wrote") from None
     except OSError as error:
-        raise InputError(f"cannot load {place}: {error}.\n  fix: give a file that Dynamics.save wrote") from None
+        raise InputError(f"cannot load {place}: {error}.\n  fix: use a file that Dynamics.save wrote") from None
     except TwistaxError:
         raise
     except MemoryError:
         raise InputError(f"{place} is damaged, or too large for the available memory") from None
     except (zipfile.BadZipFile, zipfile.LargeZipFile, zlib.error, EOFError) as error:
         raise InputError(
-            f"{place} is not a whole file of a saved system: {error}.\n  fix: give a file that Dynamics.save wrote"
+            f"{place} is not a complete file of a saved system: {error}.\n  fix: use a file that Dynamics.save wrote"
         ) from None
     except Exception as error:  # constructors of all classes run on what a damaged file says
         raise InputError(f"{place} is not a saved system, or is damaged: {type(error).__name__}: {error}") from error
@@ -217,10 +218,10 @@ def _keys(system: System) -> list[str]:
 
 
 def write_nodes(roots: Iterable[Expr], arrays: list[NDArray[Any]]) -> tuple[list[Any], dict[int, int]]:
-    """The nodes below the roots as JSON, shared ones once, and the place of each by its id.
+    """The nodes below the roots as JSON, shared ones once, and the index of each by its id.
 
     Raises:
-        ModelError: a field that has no plain form.
+        ModelError: a field that cannot be written as plain data.
     """
     places: dict[int, int] = {}
     written: list[Any] = []
@@ -236,7 +237,7 @@ def read_nodes(written: Sequence[Any], arrays: list[NDArray[Any]]) -> list[Expr]
     """The inverse of `write_nodes`.
 
     Raises:
-        ModelError: a class that is not known here, or has other fields than it had.
+        ModelError: an unknown class, or one whose fields have changed.
     """
     nodes: list[Expr] = []
     for named, fields in written:
@@ -247,7 +248,7 @@ def read_nodes(written: Sequence[Any], arrays: list[NDArray[Any]]) -> list[Expr]
         declared = {field.name for field in cls._fields}
         if declared != {name for name in values if name not in (_SHAPE, _ORIGIN)}:
             raise ModelError(
-                f"{cls.__name__} has the fields {sorted(declared)}, in the file {sorted(values)}.\n"
+                f"{cls.__name__} has the fields {sorted(declared)}, but in the file {sorted(values)}.\n"
                 "  fix: load it with the version that saved it"
             )
         nodes.append(cls.from_fields(values, validated=False))
@@ -307,8 +308,8 @@ def _written(value: Any, where: str, arrays: list[NDArray[Any]], places: dict[in
         fields = dict(zip(names, several(getattr(value, name) for name in names), strict=True))
         return {"value": [_reference(type(value)), fields]}
     raise ModelError(
-        f"{where} is {value!r}, which cannot be saved: files hold numbers, text, arrays and values of twistax, no "
-        "code.\n  fix: a group or a value must be a frozen dataclass of these"
+        f"{where} is {value!r}, which cannot be saved: files contain numbers, text, arrays and values of "
+        "twistax, but no code.\n  fix: make a group or a value a frozen dataclass of these"
     )
 
 

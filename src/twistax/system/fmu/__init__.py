@@ -1,1 +1,1 @@
-"""Compiled systems as functional mock-up units, FMI 3.0."""
+"""Export of compiled systems as functional mock-up units (FMUs), FMI 3.0."""

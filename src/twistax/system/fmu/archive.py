@@ -1,4 +1,6 @@
-"""A functional mock-up unit as a file: C source, compiled for this machine, and its description, in one archive."""
+"""A functional mock-up unit as a file: an archive of C source, a library compiled for this machine, and the model
+description.
+"""
 
 from __future__ import annotations
 
@@ -55,7 +57,7 @@ def write_unit(
     """Implements `Dynamics.to_fmu`, which documents the arguments."""
     target = path_of("path", path)
     if target.suffix != ".fmu":
-        raise InputError(f"to_fmu: path expects a name that ends in .fmu, got {str(path)!r}")
+        raise InputError(f"to_fmu: path expects a file name that ends in .fmu, got {str(path)!r}")
     name = re.sub(r"[^A-Za-z0-9_]", "_", target.stem)
     check_name(name)
     number("dt", dt, "above zero", lambda size: 0.0 < size < np.inf)
@@ -105,8 +107,8 @@ def _start(kind: str, leaf: Any, passed: Any) -> Array:
         passed = leaf.value
         if passed is None:
             raise ModelError(
-                f"to_fmu: the parameter {leaf.name!r} has no value, and every variable of a unit has one.\n"
-                f"  fix: params={{{leaf.name!r}: ...}}"
+                f"to_fmu: the parameter {leaf.name!r} has no value, but every variable of a unit needs one.\n"
+                f"  fix: pass params={{{leaf.name!r}: ...}}"
             )
     if passed is not None:
         value = np.asarray(passed, float)
@@ -159,7 +161,7 @@ def _compiled(name: str, source: str, compiler: str) -> dict[str, bytes]:
     if program is None:
         raise ModelError(
             f"to_fmu: there is no C compiler {compiler!r}.\n"
-            "  fix: install one, name another, or compiler=None for a unit of sources alone"
+            "  fix: install it, name another one, or pass compiler=None for a unit that contains only sources"
         )
     machine = {"amd64": "x86_64", "arm64": "aarch64"}.get(platform.machine().lower(), platform.machine().lower())
     system, suffix = {"darwin": ("darwin", "dylib"), "win32": ("windows", "dll")}.get(sys.platform, ("linux", "so"))
@@ -181,4 +183,4 @@ def _write(target: Path, files: Mapping[str, bytes]) -> None:
             for name, content in files.items():
                 archive.writestr(zipfile.ZipInfo(name, _DATE), content, zipfile.ZIP_DEFLATED)
     except OSError as error:
-        raise InputError(f"cannot write {str(target)!r}: {error}.\n  fix: give a folder to write to") from None
+        raise InputError(f"cannot write {str(target)!r}: {error}.\n  fix: pass a path in a writable folder") from None

@@ -1,4 +1,4 @@
-"""The XML files of a functional mock-up unit: what it exchanges, how it is compiled. FMI 3.0.1, chapters 2.4, 2.5."""
+"""The XML files of a functional mock-up unit: its variables, and its compilation. FMI 3.0.1, chapters 2.4, 2.5."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ def model_description(name: str, token: str, variables: VariableList, step: floa
     """The text of `modelDescription.xml`.
 
     Args:
-        name: of the model, and of its files.
-        token: what the unit compares when it is instantiated.
-        step: the length of an internal step of co-simulation; None for model exchange alone.
+        name: the name of the model and of its files.
+        token: the token that is checked when the unit is instantiated.
+        step: the length of an internal step of co-simulation; None for model exchange only.
     """
     root = ElementTree.Element(
         "fmiModelDescription",

@@ -1,4 +1,4 @@
-"""The functions of a functional mock-up unit: of vectors of plain numbers, as scalar programs."""
+"""The functions of a functional mock-up unit: functions of vectors of plain numbers, as scalar programs."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ _TIME, _X, _U, _P = Port("t", "", ()), "x", "u", "params"
 
 
 class UnitFunctions:
-    """A system whose states, controls and parameters are one vector each, states in plain numbers.
+    """A system whose states, controls and parameters are one vector each, with states as plain numbers.
 
-    Poses are [quaternion, position], rotations quaternions; all else are entries, row by row.
+    Poses are [quaternion, position], rotations are quaternions; other values are their entries, row by row.
 
     Args:
-        functions: of the compiled system.
-        advance: the states after a step, of t, x, u, params and h; None for no steps.
+        functions: the functions of the compiled system.
+        advance: a function of t, x, u, params and h that returns the states after a step; None for no steps.
 
     Attributes:
-        numbers: of each state, how it becomes plain numbers.
+        numbers: for each state its conversion to plain numbers.
         arguments: t and the three vectors.
     """
 
@@ -44,7 +44,7 @@ class UnitFunctions:
         self.arguments = (_TIME, *(Port(kind, kind, (size,)) for kind, size in sizes.items()))
 
     def written(self) -> list[tuple[str, ExportedFunction, str]]:
-        """The functions: head in C, program, and text of the body.
+        """The functions: C declaration, program, and text of the body.
 
         Raises:
             ModelError: a part has no scalar form.

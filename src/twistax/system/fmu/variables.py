@@ -1,4 +1,4 @@
-"""The variables of a functional mock-up unit: names, units, and what each is for."""
+"""The variables of a functional mock-up unit: names, units and roles."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ class UnitVariable:
     """A real number that a unit exchanges.
 
     Attributes:
-        name: as in tables of a solution: `V[0]`, `g.qw`, `g.x`, `M[0][1]`.
-        unit: None where it is not known.
+        name: the name, as in tables of a solution: `V[0]`, `g.qw`, `g.x`, `M[0][1]`.
+        unit: the unit; None if unknown.
         reference: its value reference.
-        causality, variability: as FMI calls them.
-        start: its value at the beginning; None of what is computed.
-        limits: (min, max), None where there is none.
-        derivative: the reference of the state that it is the derivative of.
+        causality, variability: the attributes of FMI.
+        start: its start value; None for computed variables.
+        limits: (min, max), each None if there is none.
+        derivative: the reference of the state whose derivative it is.
     """
 
     name: str
@@ -47,13 +47,13 @@ class VariableList:
     """All variables of a system: time, states, their derivatives, controls, parameters, outputs, in this order.
 
     Args:
-        functions: of the compiled system.
-        of_unit: its functions of vectors.
-        starts: the vectors of states, controls and parameters at the beginning.
+        functions: the functions of the compiled system.
+        of_unit: the unit's functions of vectors.
+        starts: the start vectors of states, controls and parameters.
 
     Attributes:
-        all: the variables; the reference of each is its place.
-        states: how many there are.
+        all: the variables; the reference of each is its index.
+        states: the number of states.
     """
 
     def __init__(self, functions: Functions, of_unit: UnitFunctions, starts: Sequence[np.ndarray]) -> None:
@@ -83,7 +83,9 @@ class VariableList:
                 self._add(label, unit, "output")
         names = [variable.name for variable in self.all]
         if twice := [name for name in names if names.count(name) > 1]:
-            raise ModelError(f"to_fmu: two variables would be called {twice[0]!r}.\n  fix: rename a leaf or an output")
+            raise ModelError(
+                f"to_fmu: two variables would have the name {twice[0]!r}.\n  fix: rename a leaf or an output"
+            )
 
     def _add(self, name: str, unit: Unit | None, causality: str, **more: Any) -> None:
         variability = "tunable" if causality == "parameter" else "continuous"
@@ -143,7 +145,7 @@ def _unit_of(text: str) -> Unit | None:
 
 
 def base_exponents(unit: Unit | None) -> dict[str, int] | None:
-    """The powers of base units by name; None where there is no unit, or where powers are no whole numbers."""
+    """The exponents of base units by name; None if there is no unit, or if exponents are not whole numbers."""
     if unit is None or any(Fraction(n).denominator != 1 for n in unit.exponents):
         return None
     return {name: int(n) for name, n in zip(("kg", "m", "s", "K"), unit.exponents) if n}

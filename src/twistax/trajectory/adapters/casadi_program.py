@@ -1,10 +1,10 @@
-"""A `NonlinearProgram` as CasADi sees it: functions that call back, with sparse derivatives of their own.
+"""A `NonlinearProgram` as a CasADi problem: callback functions with sparse derivatives.
 
-CasADi derives what its solvers need from reverse derivatives, so the program is four functions: f and g; their
-Jacobian; the gradient of weight f + multipliers . g; and its Jacobian, the Hessian.
+CasADi derives the functions that its solvers need from reverse derivatives. So the program is four functions: f and g;
+their Jacobian; the gradient of weight f + multipliers . g; and its Jacobian, the Hessian.
 
-Run as a script this file is the other side of `subprocess_solver.py`, a process with CasADi and NumPy alone; so it
-imports no more.
+Run as a script, this file is the subprocess of `subprocess_solver.py`, which needs only CasADi and NumPy. So it imports
+nothing else.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from numpy import ndarray as Array
 
 
 class SolverRefused(RuntimeError):
-    """A solver that does not start with its options."""
+    """The error of a solver that does not accept its options."""
 
 
 class SolverResult(NamedTuple):
@@ -34,11 +34,11 @@ class SolverResult(NamedTuple):
     of_rows: Array
     iterations: int
     success: bool
-    word: str  # the solver's for how it ended
+    word: str  # the solver's name for its exit status
 
 
 class CasadiProgram:
-    """A program that CasADi's solvers solve; made once, for any start."""
+    """A program for CasADi's solvers; it is built once and solved from any start."""
 
     def __init__(self, program: Any, plugin: str, options: Mapping[str, Any]) -> None:
         self.program, self._plugin, self._options = program, plugin, options
@@ -57,7 +57,7 @@ class CasadiProgram:
         seconds: float = np.inf,
     ) -> SolverResult:
         """Solve from a start, with options of the plugin in addition to those of the constructor. There is no time
-        limit here.
+        limit.
         """
         self._progress, self._memory = progress, {}
         key, program = tuple(sorted(options.items())), self.program
@@ -88,7 +88,7 @@ class CasadiProgram:
             str(stats["return_status"]),
         )
 
-    # ---- evaluations, the last of each kept -----------------------------------------------------------------------
+    # ---- evaluations, of which the last one is cached -------------------------------------------------------------
 
     def _kept(self, what: str, key: bytes, make: Callable[[], Any]) -> Any:
         known = self._memory.get(what)
@@ -105,7 +105,7 @@ class CasadiProgram:
             if self._progress is not None:
                 try:
                     self._progress(*self._f_and_g(x))
-                except Exception as error:  # the solver would take it for numbers that are not finite
+                except Exception as error:  # the solver would treat the error as non-finite numbers
                     self._raised = error
                     raise
             return self.program.first_derivatives(x)
@@ -126,7 +126,7 @@ class CasadiProgram:
         numbers: Array = self._kept("hessian", key, make)
         return numbers
 
-    # ---- functions of CasADi --------------------------------------------------------------------------------------
+    # ---- CasADi functions -----------------------------------------------------------------------------------------
 
     def _as_function(self) -> _Function:
         """The CasADi function x -> f, g, with its derivatives."""
@@ -163,10 +163,11 @@ class _Function(casadi.Callback):
     """A CasADi function that calls back to Python.
 
     Args:
-        run: the numbers of the arguments -> those of the results.
-        inputs, outputs: patterns.
-        names: the function's, and those of arguments and results.
-        jacobian: patterns by result and argument, and what gives their numbers, of arguments and results.
+        run: computes the entries of the results from those of the arguments.
+        inputs, outputs: sparsity patterns.
+        names: the names of the function, of its arguments and of its results.
+        jacobian: sparsity patterns by result and argument, and a function that computes their entries from arguments
+            and results.
         reverse: names -> the function of reverse derivatives.
     """
 
@@ -183,7 +184,7 @@ class _Function(casadi.Callback):
         casadi.Callback.__init__(self)
         self._run, self._inputs, self._outputs, self._names = run, inputs, outputs, names
         self._jacobian, self._reverse = jacobian, reverse
-        self._derived: list[_Function] = []  # CasADi does not keep them alive
+        self._derived: list[_Function] = []  # CasADi does not keep references to them
         self.construct(names[0], {})
 
     def get_n_in(self) -> int:
@@ -246,7 +247,8 @@ def _answer(inbox: BinaryIO, outbox: BinaryIO) -> None:
     """The loop of the subprocess: solve each start that it receives; values and derivatives come from the parent
     process.
 
-    The clock that ends a solve is a thread that does not need Python's lock: a solver that hangs holds it.
+    The clock that ends a solve is a thread that does not need Python's global lock, which a solver in an infinite loop
+    holds.
     """
 
     def say(*words: Any) -> None:
@@ -258,7 +260,7 @@ def _answer(inbox: BinaryIO, outbox: BinaryIO) -> None:
             try:
                 say(what, x, *more)
                 return pickle.load(inbox)
-            except (EOFError, OSError):  # nobody is there; CasADi would print all its numbers
+            except (EOFError, OSError):  # the parent process has ended; CasADi would print all its numbers
                 os._exit(1)
 
         return ask
@@ -281,6 +283,6 @@ def _answer(inbox: BinaryIO, outbox: BinaryIO) -> None:
 
 if __name__ == "__main__":
     spoken = os.dup(1)
-    os.dup2(2, 1)  # what solvers print is not taken for an answer
+    os.dup2(2, 1)  # output that solvers print must not be mistaken for an answer
     with os.fdopen(spoken, "wb") as outbox:
         _answer(sys.stdin.buffer, outbox)

@@ -1,13 +1,13 @@
 """A staged problem as a nonlinear program with sparse derivatives, for IPOPT and Fatrop.
 
-Unknowns and constraints stand stage by stage, as solvers that know stages want them:
+Unknowns and constraints are ordered by stage, as solvers that exploit the stage structure require:
 
     x = [x_0, u_0, ..., x_N, p],   minimise f(x),   lower <= x <= upper,   lower_rows <= g(x) <= 0,
     g = [x_1 - F_0(x_0, u_0, p), h_0, e_0, ..., h_N, e_N].
 
-Flat states, controls and p are the numbers themselves, states on other groups steps d_k in charts at points that stay.
-p is what all stages share, free durations first, or a copy of it for each stage, p_k, where a solver wants stages that
-share nothing. Unknowns that cannot move are left out.
+Flat states, controls and p are unknowns themselves. States on other groups are represented by steps d_k in charts about
+fixed points. p is shared by all stages and begins with free durations; for solvers that require separate stages, each
+stage has a copy p_k. Unknowns that cannot change are omitted.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from ..transcription.staged_phase import StagedPhase
 
 
 class Entries(NamedTuple):
-    """The entries of a sparse matrix, column by column, and which numbers add up to each entry."""
+    """The entries of a sparse matrix, column by column, and the numbers whose sum is each entry."""
 
     rows: Array
     columns: Array
@@ -36,7 +36,7 @@ class Entries(NamedTuple):
     target: Array
 
     def of(self, parts: Sequence[Array]) -> Array:
-        """The entries, of the numbers in arrays one after the other."""
+        """The entries, from a list of arrays of numbers."""
         return np.bincount(self.target, np.concatenate(parts)[self.source], minlength=len(self.rows))
 
 
@@ -51,7 +51,9 @@ class ProgramStart(NamedTuple):
 
 
 class Reached(NamedTuple):
-    """The end of a solver: the point, multipliers in the problem's units, and the largest rotation of a node, rad."""
+    """The result of a solver: the point, multipliers in the problem's units, and the largest
+    rotation of a node, rad.
+    """
 
     point: Iterate
     dynamics: Array  # (intervals, n)
@@ -60,16 +62,16 @@ class Reached(NamedTuple):
 
 
 class NonlinearProgram:
-    """The nonlinear program behind a staged problem.
+    """The nonlinear program of a staged problem.
 
     Attributes:
         size, count: numbers of unknowns and of constraints.
         equality: (count,) which constraints are equalities.
         jacobian, hessian: `Entries` of g' and of the Lagrangian's second derivative, which is symmetric.
-        stages: per node the numbers of states (p included), of controls and of rows.
+        stages: for each node the numbers of states (p included), of controls and of rows.
 
     Args:
-        with_copies: whether each stage has a p of its own.
+        with_copies: whether each stage has a separate copy of p.
     """
 
     def __init__(self, staged: Staged, instance: Instance, *, with_copies: bool) -> None:
@@ -78,7 +80,7 @@ class NonlinearProgram:
         stages = self._transcription.stages
         self._free = staged.step(*(np.asarray(a, float) for a in staged.transcribed.free)) > 0.0
         self._last, self._shared = len(stages.states) - 1, stages.variables - stages.parameters
-        #: The unknown of each entry of v, -1 for none; of shared entries the copy of each stage.
+        #: The unknown of each entry of v, -1 for none; for shared entries, that of each stage's copy.
         self._places = -np.ones(stages.variables, int)
         self._copies = -np.ones((self._last + 1, stages.parameters), int)
         self.size = self.count = 0
@@ -88,7 +90,7 @@ class NonlinearProgram:
         self.equality = np.ones(self.count, bool)
         self.equality[self._row_places[1]] = False
         self.lower_rows = np.where(self.equality, 0.0, -np.inf)
-        #: The places of flat states, controls and shared unknowns in points; -1 for rotations.
+        #: The indices of flat states, controls and shared unknowns in points; -1 for rotations.
         self._point_places = -np.ones(stages.variables, int)
         self._point_places[staged.plain[1]] = staged.plain[0]
         self._curved = np.where(self._point_places < 0, 1.0, 0.0)
@@ -118,7 +120,7 @@ class NonlinearProgram:
     def _number_rows(self, with_copies: bool) -> tuple[list[Array], Array, list[int]]:
         """Assign constraints to defects, inequalities, equalities and the equations between copies.
 
-        The last item: how many constraints each stage has beside the dynamics.
+        The last item is the number of constraints of each stage besides the dynamics.
         """
         stages, rows, counts = self._transcription.stages, list[list[Array]](), list[int]()
         shared, copies = np.flatnonzero(self._copies[0] >= 0), -np.ones((self._last, stages.parameters), int)
@@ -155,16 +157,16 @@ class NonlinearProgram:
         self._ones = np.ones(len(self._row_places[0]) + copies.size), -np.ones(copies.size)
         joins = [(part.stages.stop - 1, part.phase.join.free) for part in self._staged.parts if part.phase.join]
         starts = np.cumsum(stages.after) - stages.after
-        #: Entries that a join leaves free: places of the defect, of its control, and of the next node.
+        #: Entries that a join leaves free: indices of the defect, of its control, and of the next node.
         self._joined = [
             (starts[k] + free, first[k] + stages.states[k] + np.arange(len(free)), first[k + 1] + free)
             for k, free in joins
         ]
 
-    # ---- starts and ends ------------------------------------------------------------------------------------------
+    # ---- start and result -----------------------------------------------------------------------------------------
 
     def start(self, start: Iterate | WarmStart, instance: Instance, units: StartUnits | None) -> ProgramStart:
-        """Set the point about which the program is stated, and the units: these or those of the problem."""
+        """Set the point about which the program is stated, and the units: the argument, or those of the problem."""
         staged, point = self._staged, start.point if isinstance(start, WarmStart) else start
         staged.set_instance(instance)
         self._latest: tuple[Array, Evaluated] | None = None
@@ -178,7 +180,7 @@ class NonlinearProgram:
             copies = np.broadcast_to(units.border[staged.border.unknown], self._copy_rows.shape)
             self._row_units = self._of_rows(staged.after(units.v), units.rows, units.equalities, copies)
         lower, upper = (self._of_v(a) / self._x_units for a in staged.limits(self._v, instance))
-        repeated = np.setdiff1d(self._copies[1:], self._copies[0])  # copies are equal: bounds of one are enough
+        repeated = np.setdiff1d(self._copies[1:], self._copies[0])  # copies are equal, so bounds on one of them suffice
         lower[repeated], upper[repeated] = -np.inf, np.inf
         bounds, rows = np.zeros(self.size), np.zeros(self.count)
         if isinstance(start, WarmStart):
@@ -188,7 +190,7 @@ class NonlinearProgram:
         return ProgramStart(self._of_v(self._v) / self._x_units, lower, upper, bounds, rows)
 
     def reached(self, x: Array, of_bounds: Array, of_rows: Array) -> Reached:
-        """The point at some unknowns, and its multipliers."""
+        """The point for values of the unknowns, with its multipliers."""
         staged = self._staged
         z, v = self._at(x)
         z = moved(self._transcription, z, v * self._curved)
@@ -205,9 +207,9 @@ class NonlinearProgram:
 
     @staticmethod
     def _turn(part: StagedPhase, d: Array, dynamics: Array) -> None:
-        """Transform the multipliers of a phase's dynamics to nodes moved by d.
+        """Transform the multipliers of a phase's dynamics to nodes that are moved by d.
 
-        A node that moves on by e moves by J e in the chart where it was, J^-1 = J_l(-d).
+        A further step e of a moved node is a step J e in the original chart, with J^-1 = J_l(-d).
         """
         turn, n = part.phase.kernels.turn, part.shooting.n
         if turn is None:
@@ -218,13 +220,13 @@ class NonlinearProgram:
                 dynamics[k - 1, :n] = np.linalg.solve(matrix.T, dynamics[k - 1, :n])
 
     def _of_v(self, v: Array) -> Array:
-        """From entries of v to those of the unknowns."""
+        """Entries of the unknowns, from entries of v."""
         x = np.zeros(self.size + 1)
         x[self._places], x[self._copies] = v, v[self._shared :]
         return x[:-1]
 
     def _of_rows(self, c: Array, h: Array, e: Array, copies: Any = 0.0) -> Array:
-        """From entries of defects and rows to those of the constraints."""
+        """Entries of the constraints, from entries of defects and rows."""
         rows = np.zeros(self.count + 1)
         rows[self._copy_rows] = copies
         for places, numbers in zip(self._row_places, (c, h, e)):
@@ -232,7 +234,7 @@ class NonlinearProgram:
         return rows[:-1]
 
     def _at(self, x: Array) -> tuple[Array, Array]:
-        """z and v at some unknowns: nodes in the charts about the current points, other entries as they are."""
+        """z and v for values of the unknowns: nodes in the charts about the current points, other entries unchanged."""
         v, z, placed, flat = self._v.copy(), self._z.copy(), self._places >= 0, self._point_places >= 0
         v[placed] = (x * self._x_units)[self._places[placed]]
         z[self._point_places[flat]] = v[flat]
@@ -241,7 +243,7 @@ class NonlinearProgram:
     # ---- values and derivatives -----------------------------------------------------------------------------------
 
     def _evaluated(self, x: Array) -> Evaluated:
-        """Values at some unknowns. The next call overwrites their memory."""
+        """Values of the problem's functions for values of the unknowns. The next call overwrites their memory."""
         if self._latest is not None and np.array_equal(self._latest[0], x):
             return self._latest[1]
         z, v = self._at(x)
@@ -253,7 +255,7 @@ class NonlinearProgram:
         return at
 
     def values(self, x: Array) -> tuple[float, Array]:
-        """f and g."""
+        """The objective f and the constraints g."""
         at = self._evaluated(x)
         if at.failed:
             return np.nan, np.full(self.count, np.nan)
@@ -263,7 +265,7 @@ class NonlinearProgram:
         return float(at.cost[0]) / self._cost_unit, g / self._row_units
 
     def first_derivatives(self, x: Array) -> tuple[Array, Array]:
-        """The gradient of f, and the numbers of the Jacobian of g."""
+        """The gradient of f, and the entries of the Jacobian of g."""
         at = self._evaluated(x)
         if not at.jacobians():
             return np.full(self.size, np.nan), np.full(len(self.jacobian.rows), np.nan)
@@ -274,7 +276,7 @@ class NonlinearProgram:
         return gradient[:-1] * self._x_units / self._cost_unit, numbers
 
     def lagrangian_hessian(self, x: Array, weight: float, multipliers: Array) -> Array:
-        """The numbers of the second derivative of weight f + multipliers . g."""
+        """The entries of the second derivative of weight f + multipliers . g."""
         at, scaled = self._evaluated(x), multipliers / self._row_units
         lam, y, ye = (scaled[places] for places in self._row_places)
         numbers = self.hessian.of([at.hessian(weight / self._cost_unit, -lam, y, ye)])
@@ -282,7 +284,7 @@ class NonlinearProgram:
 
 
 def _entries(blocks: Sequence[Any]) -> Entries:
-    """The entries of blocks of (row, column) places, -1 for what is left out."""
+    """The entries of blocks with (row, column) indices, -1 for omitted ones."""
     rows, columns = (np.concatenate([np.asarray(block[i]).ravel() for block in blocks]) for i in range(2))
     source = np.flatnonzero((rows >= 0) & (columns >= 0))
     places, target = np.unique(np.stack([columns[source], rows[source]]), axis=1, return_inverse=True)

@@ -1,9 +1,9 @@
-"""IPOPT and Fatrop, both inside CasADi's wheel, on the same discrete problem.
+"""IPOPT and Fatrop, which CasADi's wheel contains, for the same discrete problem.
 
 They call the same functions as this package's solver, in the units of the statement. States on groups are steps in the
-tangent spaces at nodes that stay while a solver runs; the nodes then move to where it ended, and it starts again from
-there, until no node turns. A result is measured like all results: by the first-order conditions, in this package's
-scales.
+tangent spaces at nodes that are fixed while a solver runs. The nodes then move to its result, and the solver starts
+again from there, until no node rotates. Every result is assessed like those of this package's solver: by the
+first-order conditions, in this package's scales.
 """
 
 from __future__ import annotations
@@ -27,12 +27,13 @@ from ..strategy.warm import WarmStart
 from ..transcription.iterate import Instance, Iterate
 from .program import NonlinearProgram
 
-#: Passes of a solver; the first barrier parameter and distance from limits of a warm pass; a turn that counts as none,
-#: rad.
+#: The maximal number of passes of a solver; the initial barrier parameter and distance from limits of a warm-started
+#: pass; the rotation that counts as none, rad.
 _PASSES, _WARM_BARRIER, _WARM_PUSH, _SMALL_TURN = 10, 1e-6, 1e-9, 1e-6
-#: The solver's tolerance over that of `solve`; a result is acceptable within so many tolerances of `solve`.
+#: The ratio of the solver's tolerance to that of `solve`; a result is acceptable within this multiple of the tolerance
+#: of `solve`.
 _CLOSER, _ACCEPTABLE = 1e-2, 100.0
-#: Return statuses that end the search, with whether the constraints hold.
+#: Return statuses that end the search, and whether the constraints are satisfied.
 _OVER = {
     ("Infeasible_Problem_Detected", False): Status.INFEASIBLE,
     ("Diverging_Iterates", True): Status.UNBOUNDED,
@@ -51,20 +52,20 @@ class SolvedBy(Protocol):
         max_iterations: int,
         callback: Callback | None,
     ) -> Outcome:
-        """Solve from a start; `core` provides the functions, and measures the result."""
+        """Solve from a start; `core` provides the problem's functions and measures the errors of the result."""
         ...
 
 
 @dataclasses.dataclass(frozen=True)
 class _Casadi:
-    """A solver of CasADi.
+    """A solver in CasADi.
 
     Args:
-        options: of the solver itself, on top of what this package sets.
-        max_seconds: of a try.
+        options: options of the solver, in addition to those that this package sets.
+        max_seconds: the time limit of a try.
 
     Raises:
-        TrajectoryError: options that are no dict, or that `solve` sets; a time that is not above zero.
+        TrajectoryError: options that are not a dict, or that `solve` sets; a time that is not positive.
     """
 
     options: Any = dataclasses.field(default_factory=dict)
@@ -80,7 +81,9 @@ class _Casadi:
                 f"{kind} expects a dict of options, got {short(self.options)}; e.g. {{'print_level': 5}}"
             )
         if "max_iter" in self.options:
-            raise TrajectoryError(f"{kind}: max_iter is set by max_iterations.\n  fix: solve(max_iterations=...)")
+            raise TrajectoryError(
+                f"{kind}: the option max_iter is an argument of solve.\n  fix: solve(max_iterations=...)"
+            )
         if self.max_seconds is not None:
             number("max_seconds", self.max_seconds, "above zero", lambda it: 0.0 < it < np.inf, TrajectoryError)
 
@@ -103,7 +106,7 @@ class _Casadi:
         return {}
 
     def _of_pass(self, warm: bool, scaled: bool, left: int) -> dict[str, Any]:
-        """Options of one pass: warm start, scaling, and the limit of iterations."""
+        """Options of one pass: warm start, scaling, and the iteration limit."""
         raise NotImplementedError
 
     def run(
@@ -131,10 +134,9 @@ class _Casadi:
         return dataclasses.replace(strategies.at_a_minimum(core, search, search(start)), iterations=count)
 
     def _search(self, run: _Run, start: Iterate | WarmStart, callback: Callback | None) -> Outcome:
-        """Passes of the solver: repeated about moved nodes as long as they rotate, and with other scaling after a
-        failure.
+        """Passes of the solver: repeated about moved nodes while they rotate, and with other scaling after a failure.
 
-        The first one is in the units of the statement, as it is when another states the problem.
+        The first pass is in the units of the statement, as for a problem that is stated in the solver's own interface.
         """
         from .casadi_program import SolverRefused
 
@@ -161,7 +163,7 @@ class _Casadi:
             turned = reached.turn > _SMALL_TURN
             if units is not None and not (result.success and turned):
                 break
-            if not result.success:  # the units of the statement may be what it failed by
+            if not result.success:  # the units of the statement may be the cause of the failure
                 units, here = core.units(start.point if isinstance(start, WarmStart) else start, instance), start
                 continue
             here = WarmStart(None, outcome.point, outcome.dynamics, outcome.rows, outcome.scales, instance.params)
@@ -180,7 +182,7 @@ class _Casadi:
 
 @dataclasses.dataclass(frozen=True)
 class _Run:
-    """The limits of one search: remaining iterations and the end time."""
+    """The limits of one search: remaining iterations and end time."""
 
     core: CoreSolver
     instance: Instance
@@ -188,7 +190,7 @@ class _Run:
     due: float
 
     def ended(self, outcome: Outcome, word: str) -> Status | None:
-        """The status if a pass ends the search."""
+        """The final status if a pass ends the search, else None."""
         tolerance = self.core.tolerance
         if outcome.status is Status.SOLVED:
             return Status.SOLVED
@@ -201,7 +203,7 @@ class _Run:
         return _OVER.get((word, outcome.violation <= tolerance))
 
     def at_rest(self, outcome: Outcome) -> Outcome:
-        """The outcome if the solver makes no progress: INFEASIBLE if the core finds no feasible point either."""
+        """The outcome if the solver makes no progress: INFEASIBLE if the core does not find a feasible point either."""
         tolerance = self.core.tolerance
         if outcome.status is Status.SOLVED:
             return outcome
@@ -221,7 +223,7 @@ def _counted(callback: Callback | None, before: int) -> Callback | None:
 def _progress(
     program: NonlinearProgram, callback: Callback | None, unit: float
 ) -> Callable[[float, Array], None] | None:
-    """The callback with f, in a unit, and g before each step of a pass."""
+    """The callback before each step of a pass, with f in a unit, and g."""
     if callback is None:
         return None
     steps = itertools.count()
@@ -240,10 +242,10 @@ class IPOPT(_Casadi):
     Source: Wachter and Biegler, Mathematical Programming 106 (2006).
 
     Args:
-        options: IPOPT's own, such as {"linear_solver": "mumps", "print_level": 5}.
-        max_seconds: wall time after which a run ends with OUT_OF_TIME, at its last iterate, including compile time.
-            IPOPT then runs in a separate process, which can be terminated, and prints to standard error. None: in
-            this process, without a limit, and faster.
+        options: options of IPOPT, such as {"linear_solver": "mumps", "print_level": 5}.
+        max_seconds: wall time, including compile time, after which a run ends with OUT_OF_TIME at its last iterate.
+            IPOPT then runs in a separate process, which can be terminated, and prints to standard error. With None it
+            runs in this process, without a limit, and is faster.
 
     Raises:
         TrajectoryError: options that are not a dict, or that `solve` sets; a time that is not positive.
@@ -270,9 +272,9 @@ class Fatrop(_Casadi):
     Source: Vanroye, Sathya, De Schutter, Decre, FATROP, arXiv:2303.16746.
 
     Args:
-        options: Fatrop's own, such as {"print_level": 1}.
-        max_seconds: as of `IPOPT`. Fatrop 1.1.8 can enter an infinite loop while it regularises a step, and calls no
-            callback there, so it has a limit unless this is None.
+        options: options of Fatrop, such as {"print_level": 1}.
+        max_seconds: as for `IPOPT`. Fatrop 1.1.8 can enter an infinite loop while it regularises a step, where it calls
+            no callback; so it has a limit unless this is None.
 
     Raises:
         TrajectoryError: options that are not a dict, or that `solve` sets; a time that is not positive.

@@ -1,7 +1,7 @@
-"""A solver of CasADi's in a process of its own, which ends when its time is over, whatever the solver does.
+"""CasADi's solvers in a separate process, which can be terminated when a time limit is reached.
 
-A solver that goes round in a loop of its own calls nothing back and holds Python's lock: nothing within its process can
-stop it, not even a signal. The other process asks this one for values and derivatives.
+A solver in an infinite loop calls no callback and holds Python's global lock: nothing within its process can stop it,
+not even a signal. The subprocess requests values and derivatives from this process.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from . import casadi_program
 from .casadi_program import SolverRefused, SolverResult
 from .program import NonlinearProgram, ProgramStart
 
-#: The solver's word for an end by the clock.
+#: The exit status of a solver that the clock has ended.
 OUT_OF_TIME = "Out of time"
 
 
 class SubprocessSolver:
-    """A `CasadiProgram` in another process. It starts with the first solve, and again after a solve that ended it."""
+    """A `CasadiProgram` in a subprocess. It starts with the first solve, and again after a solve that terminated it."""
 
     def __init__(self, program: NonlinearProgram, plugin: str, options: Mapping[str, Any]) -> None:
         self.program = program
@@ -50,7 +50,7 @@ class SubprocessSolver:
         progress: Callable[..., None] | None,
         seconds: float,
     ) -> SolverResult:
-        """As `CasadiProgram.solve` does, in so many seconds at most; after that the last iterate."""
+        """As `CasadiProgram.solve`, with a time limit in seconds, after which the result is the last iterate."""
         due, steps, x = time.monotonic() + seconds, 0, start.x
         try:
             if self._process is None:
@@ -75,10 +75,12 @@ class SubprocessSolver:
         except (EOFError, BrokenPipeError):
             self._forget()
             if time.monotonic() < due:
-                raise SolverRefused(f"{self._plugin} of CasADi ended its process before it was done") from None
+                raise SolverRefused(
+                    f"the process of {self._plugin} (CasADi) ended before the solve was complete"
+                ) from None
             zeros = np.zeros(self.program.size), np.zeros(self.program.count)
             return SolverResult(x, *zeros, steps, False, OUT_OF_TIME)
-        except BaseException:  # the other process would wait for an answer
+        except BaseException:  # the subprocess would wait for an answer
             self._forget()
             raise
 
@@ -91,5 +93,5 @@ def _ended(process: subprocess.Popen[bytes]) -> None:
     process.kill()
     process.wait()
     for pipe in (process.stdin, process.stdout):
-        with contextlib.suppress(BrokenPipeError):  # words that nobody waits for
+        with contextlib.suppress(BrokenPipeError):  # pending answers that no process reads
             pipe.close()  # type: ignore[union-attr]

@@ -1,4 +1,4 @@
-"""Contact as complementarity constraints: the optimum decides when a point touches, sticks and slides."""
+"""Contact as complementarity constraints: the optimiser determines when a point touches, sticks and slips."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ...errors import ModelError, ShapeError
 from ...expr import Abs, Constant, Control, Expr, Norm, Parameter, State, to_expr
 from ...expr.operations.comparisons import Complementarity, ConstraintSet
 
-#: Directions of slip in the plane of contact, of which the fastest counts.
+#: Directions of slip in the contact plane; the largest component of the velocity along these approximates the speed.
 _DIRECTIONS = 8
 
 
@@ -22,9 +22,9 @@ class Friction:
     r"""Coulomb friction of a `Contact` with the normal force N: $|f| \le \mu N$, and f dissipates as much power as it
     can, $\mu N |v| + f \cdot v \le \epsilon$.
 
-    So in a plane f is $-\mu N v / |v|$ while the point slips, and any force within the cone while it sticks. In space
-    $|v|$ is the largest $d_i \cdot v$ over eight directions $d_i$, at least $0.92\,|v|$: so f may be 23 degrees off
-    $-v$, and dissipates at least 0.92 of the greatest power.
+    So in a plane f is $-\mu N v / |v|$ while the point slips, and any force within the cone while it sticks. In space,
+    $|v|$ is approximated by the largest $d_i \cdot v$ over eight directions $d_i$, which is at least $0.92\,|v|$. So f
+    may deviate from $-v$ by 23 degrees, and dissipates at least 0.92 of the greatest power.
 
     Source: D. E. Stewart, J. C. Trinkle, An implicit time-stepping scheme for rigid body dynamics with inelastic
     collisions and Coulomb friction, International Journal for Numerical Methods in Engineering 39 (1996), the principle
@@ -36,8 +36,8 @@ class Friction:
         velocity: the tangential velocity v of its point relative to the other body, m/s, of the shape of the force.
 
     Raises:
-        ModelError: a negative coefficient.
-        ShapeError: other shapes.
+        ModelError: a coefficient that is negative.
+        ShapeError: a coefficient that is not (), or a force and a velocity that are not both () or both (2,).
 
     Example: `tx.trajectory.Friction(0.5, force=f, velocity=v)`.
     """
@@ -66,7 +66,7 @@ class Friction:
             )
 
     def named(self, normal: Expr, relaxation: Parameter) -> dict[str, Any]:
-        """The constraints with a normal force, by name."""
+        """The constraints for a normal force, by name."""
         f, v, most = self.force, self.velocity, self.coefficient * normal
         if f.shape == ():
             speeds, power, cone = Constant(np.array([1.0, -1.0])) * v, f * v, Abs(f) <= most
@@ -82,15 +82,15 @@ class Contact(ConstraintSet):
     r"""A complementarity constraint for a point and a surface that may touch: $\phi \ge 0$, $N \ge 0$ and $\phi N \le
     \epsilon$.
 
-    Use it like a constraint, in the `constraints` of a `System`. The optimiser decides when there is contact. The
-    product relates the force along an interval to the gap at its end, as a time step by the backward Euler method does;
-    a transcription by `tx.trajectory.Collocation(tx.tableaus.RADAU_IIA1)` is that method, in which impacts are
-    inelastic and take one interval. With multiple shooting, impacts occur only at nodes, and are soft.
+    Use it like a constraint, in the `constraints` of a `System`. The optimiser determines when there is contact. The
+    product relates the force along an interval to the gap at its end, as a step of the backward Euler method does. With
+    the transcription `tx.trajectory.Collocation(tx.tableaus.RADAU_IIA1)`, which is that method, impacts are inelastic
+    and take one interval. With multiple shooting, impacts occur only at nodes, and are soft.
 
-    `problem.solve()` starts from a relaxation $\epsilon$ of a hundredth of a typical product. Each further one is 0.3
-    of the previous one, with a warm start, down to the value of its parameter, without recompilation.
-    `result.complementarity` has the remaining products. A solve with a warm start, `solve_many`, `solution` and
-    controllers use only the last value.
+    `problem.solve()` starts with a relaxation $\epsilon$ of a hundredth of a typical product. Each further relaxation
+    is 0.3 times the previous one and is solved with a warm start, down to the value of the relaxation's parameter,
+    without recompilation. `result.complementarity` has the remaining products. A solve with a warm start, `solve_many`,
+    `solution` and controllers use only the last value.
 
     Sources: M. Posa, C. Cantu, R. Tedrake, A direct method for trajectory optimization of rigid bodies through contact,
     International Journal of Robotics Research 33 (2014), equations (10) to (14); S. Scholtes, Convergence properties
@@ -101,12 +101,12 @@ class Contact(ConstraintSet):
         gap: phi, the signed distance (), m, an expression of states.
         force: N, the normal force (), N; a control, or an expression.
         friction: None, or a `Friction`.
-        relaxation: the last relaxation epsilon, N m, and W of friction; a number, or a scalar `Parameter` with a value.
-            Contacts with equal numbers share one parameter, "contact relaxation".
+        relaxation: the last relaxation epsilon, in N m for the gap and in W for friction; a number, or a scalar
+            `Parameter` with a value. Contacts with equal numbers share one parameter, "contact relaxation".
 
     Raises:
-        ModelError: a friction or a relaxation of another kind, or a relaxation that is not positive.
-        ShapeError: a gap or a force that is no scalar.
+        ModelError: a friction or a relaxation of the wrong type, or a relaxation that is not positive.
+        ShapeError: a gap or a force that is not a scalar.
 
     Example: `tx.System(rates=..., constraints={"toe": tx.trajectory.Contact(height, N)})`.
     """
@@ -137,7 +137,7 @@ class Contact(ConstraintSet):
 
     def named(self) -> dict[str, Any]:
         rows: dict[str, Any] = {"gap": self.gap >= 0.0, "force": self.force >= 0.0}
-        # A second row that says what a limit says has no multiplier that is determined.
+        # A row that duplicates a limit would make the multipliers of both indeterminate.
         rows = {name: row for name, row in rows.items() if not _has_limit_at_zero(getattr(self, name))}
         rows["complementarity"] = Complementarity(self.gap * self.force, self.relaxation)
         return rows if self.friction is None else rows | self.friction.named(self.force, self.relaxation)

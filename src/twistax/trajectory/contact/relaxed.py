@@ -1,4 +1,4 @@
-"""Solves of a problem with complementarity constraints, whose relaxation goes to the value of its parameter.
+"""Solves of a problem with complementarity constraints, with relaxations that decrease to the value of their parameter.
 
 Source: S. Scholtes, Convergence properties of a regularization scheme for mathematical programs with complementarity
 constraints, SIAM Journal on Optimization 11 (2001), equation (1).
@@ -23,20 +23,20 @@ from ..strategy.status import AT_OPTIMUM, Status
 from ..strategy.strategies import Strategy
 from ..transcription.point_values import PointValues
 
-#: The first relaxation over a typical product, each over the one before, and the largest ratio after failures. On a
-#: hopper the sequence takes 121 iterations; from a tenth, tenfold each, 1,190.
+#: The ratio of the first relaxation to a typical product, of each relaxation to the previous one, and the largest ratio
+#: after failures. On a hopper this sequence takes 121 iterations; starting at a tenth, with a factor of ten, 1,190.
 _FIRST, _LOWER, _LEAST = 0.01, 0.3, 0.8
-#: The most iterations of a warm solve, which takes few where it does not fail.
+#: The maximal number of iterations of a warm start; a successful one takes few.
 _MOST = 150
-#: After these a smaller relaxation is tried.
+#: After these statuses a smaller relaxation is tried.
 _GOING_ON = (*AT_OPTIMUM, Status.STALLED, Status.MAX_ITERATIONS, Status.INFEASIBLE)
-#: Saddles are left at relaxations above this share of a typical product, and at the last one: between these every
-#: search comes back.
+#: Searches leave saddle points at relaxations above this fraction of a typical product, and at the last one; in
+#: between, every search returns to the saddle.
 _OPEN = 1e-4
 
 
 def relaxations(problem: Any) -> dict[str, Any]:
-    """The name of each entry of a complementarity constraint, with its relaxation, an expression."""
+    """The name of each entry of a complementarity constraint, with the expression of its relaxation."""
     rows = dict[str, Any]()
     for segment, part in zip(problem.shooting.segments, problem.parts):
         for name, constraint in part.dynamics.system.constraints.items():
@@ -58,14 +58,14 @@ def products(result: Any) -> dict[str, float]:
 
 
 def lowered(problem: Any, options: Any, solve: Callable[[Any], Any]) -> Any:
-    """The result with the last relaxations, after solves with larger ones.
+    """The result with the final relaxations, after solves with larger ones.
 
     Args:
         solve: solves with other options.
     """
     begin = time.perf_counter()
     if not isinstance(options.params or {}, Mapping):
-        return solve(options)  # which says what it expects
+        return solve(options)  # the error names the expected values
     changed = {name_of(key): value for key, value in (options.params or {}).items()}
     last = _last(problem, changed)
     if not last:
@@ -74,7 +74,7 @@ def lowered(problem: Any, options: Any, solve: Callable[[Any], Any]) -> Any:
     every: list[Any] = []
 
     def at(value: float, start: Any) -> Any:
-        """The result with this relaxation, from the guess or from the result with a larger one."""
+        """The result with this relaxation, from the guess or from the result with a larger relaxation."""
         is_last = value <= min(last.values())
         other: dict[str, Any] = {"params": changed | {name: max(value, least) for name, least in last.items()}}
         if not is_last:
@@ -95,7 +95,7 @@ def lowered(problem: Any, options: Any, solve: Callable[[Any], Any]) -> Any:
         following = value * ratio
         result = at(following, best)
         if result.status not in AT_OPTIMUM:
-            result = at(following, None)  # from the guess, for another pattern of contacts
+            result = at(following, None)  # from the guess, for another contact sequence
         if result.status in AT_OPTIMUM:
             best, value = result, following
         else:
@@ -121,7 +121,7 @@ def _last(problem: Any, changed: Mapping[str, Any]) -> dict[str, float]:
 
 
 def _typical(problem: Any, options: Any) -> float:
-    """By how much a move of all unknowns by their units changes the products at most."""
+    """A bound of the change of the products under moves of all unknowns by their units."""
     with in_double():
         plain, instance, *_ = problem.started(**options.arguments)
         core = problem.core(options.needed, plain, instance)

@@ -1,1 +1,1 @@
-"""Model-predictive control: a problem solved again and again from measured states."""
+"""Model-predictive control: a problem that is solved repeatedly from measured states."""

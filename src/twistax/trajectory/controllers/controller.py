@@ -1,4 +1,4 @@
-"""A controller: a problem that is solved again from each measured state, in memory that is laid out once."""
+"""A model-predictive controller: a problem that is solved again from each measured state, in preallocated memory."""
 
 from __future__ import annotations
 
@@ -53,15 +53,15 @@ class Controller:
 
     Args:
         problem: of one phase, with piecewise constant controls and a fixed initial state.
-        warm: a result of it, the first plan; by default the problem is solved for it. It determines the
-            solver's units, which are measured again where a state is more than ten of them from the plan. Such a call
-            takes some milliseconds longer.
+        warm: a result of this problem as the first plan; by default the problem is solved for it. It determines the
+            solver's units. They are measured again, which takes some milliseconds, if a measured state differs from the
+            plan by more than ten units.
         max_iterations: the maximal number of iterations in a call. A single iteration takes a short step where limits
             become active, for example after a disturbance.
         max_seconds: wall time after which a call ends with the iterate of the smallest error, checked before each
             iteration.
-        hessian: other second derivatives than the problem's, such as `tx.trajectory.GaussNewton()`.
-        tolerance: of the scaled first-order conditions; a call that satisfies it ends.
+        hessian: another approximation of second derivatives than the problem's, such as `tx.trajectory.GaussNewton()`.
+        tolerance: tolerance of the scaled first-order conditions; a call that satisfies it ends.
         log: the number of calls that the log keeps.
 
     Attributes:
@@ -120,24 +120,24 @@ class Controller:
         self.log, self.status = ControllerLog(log), Status.STOPPED
 
     def _load(self, start: Any) -> None:
-        """Write a warm start into the memory of the solve."""
+        """Write a warm start into the memory of the solver."""
         solve, staged = self.prepared, self.staged
         solve.z[:] = z = staged.flat(start.point)
         solve.v[:] = staged.coordinates(z)
         solve.lam[:] = staged.unpadded(start.dynamics)
         solve.y[:], solve.ye[:], solve.zl[:], solve.zu[:] = staged.split_rows(np.asarray(start.rows))
-        solve.s[:] = 0.0  # what its rows leave
+        solve.s[:] = 0.0  # the residuals of its rows
         first = {name: np.asarray(values)[0] for name, values in start.point.xs.items()}
         solve.z[: self._node.size] = staged.parts[0].point.joined(first)
 
     def _place_controls(self) -> None:
-        """Where held controls stand in a stage."""
+        """Find the positions of piecewise constant controls in a stage."""
         self.controls, user = {}, {control.name for control in self.part.phase.dynamics.controls}
         for control in self.part.dynamics.controls:
             if control.name in user:
                 self.controls[control.name] = (self.part.shooting.local.controls.slices[control.name], control.shape)
 
-    # ---- the three calls --------------------------------------------------------------------------------------------
+    # ---- prepare, feedback, shift -----------------------------------------------------------------------------------
 
     def prepare(
         self,
@@ -146,12 +146,12 @@ class Controller:
         final: Mapping[Any, Any] | None = None,
         limits: Mapping[Any, Any] | None = None,
     ) -> None:
-        """Set data that are known before the state is measured; they are kept until the next change.
+        """Set data that are known before the state is measured. They remain in use until the next change.
 
         Args:
-            params: values of parameters, by leaf or name: references and weights too. Those of `by_node` have a row for
-                each node, or one for all.
-            final: values of states at the end, where the problem fixes them.
+            params: values of parameters by leaf or name, including references and weights. Parameters in `by_node` have
+                a row for each node, or one row for all.
+            final: values of states at the end, if the problem fixes them.
             limits: (low, high) of piecewise constant controls, by leaf or name, in their unit; numbers, arrays of a
                 control's shape,
                 or arrays (intervals, *shape).
@@ -196,7 +196,9 @@ class Controller:
 
     def _limit(self, name: str, sides: Any) -> None:
         if name not in self.controls:
-            raise InputError(f"limits names {name!r}; the held controls are: {listed(self.controls, name)}")
+            raise InputError(
+                f"limits names {name!r}; the piecewise constant controls are: {listed(self.controls, name)}"
+            )
         columns, shape = self.controls[name]
         if not isinstance(sides, (tuple, list)) or len(sides) != 2:
             raise InputError(f"limits[{name!r}] expects (low, high), got {short(sides)}")
@@ -216,7 +218,7 @@ class Controller:
         """The controls for a measured state: a few iterations of the solver from the last plan.
 
         Args:
-            x: the state, by leaf or name; every state of the system.
+            x: the state by leaf or name; every state of the system is required.
         Returns:
             the controls of the first interval, by name. After a failed solve they are those of the previous plan:
             check `status`. After a timeout they are those of the iterate with the smallest error.
@@ -230,7 +232,7 @@ class Controller:
         options.barrier_start = barrier
         options.slack_push = options.bound_push = min(barrier**0.5, 1e-2)
         ended = solve(None if self._seconds is None else self._seconds - (time.perf_counter() - begin))
-        if ended in LOST:  # the plan is that before the call
+        if ended in LOST:  # the plan before this call
             self._node.write(solve, before)
         self.status = _STATUS.get(ended, Status.STALLED)
         measure = solve.measure
@@ -251,7 +253,7 @@ class Controller:
         The last control stays constant for one more interval, and the last state is integrated with it.
 
         Raises:
-            TrajectoryError: intervals are not equally long.
+            TrajectoryError: interval lengths differ.
         """
         need_shiftable(self.problem)
         if self._plan_units.are_new:
@@ -259,7 +261,7 @@ class Controller:
         self.moves_on(self.prepared)
 
     def _measured(self, x: Mapping[Any, Any]) -> float:
-        """Write the measured state into the first node; the largest move of it, in units of the states."""
+        """Write the measured state into the first node; return its largest move, in units of the states."""
         solve, node, units = self.prepared, self._node, self._plan_units
         base = node.read(x)
         difference = node.difference(solve, base)
@@ -273,27 +275,28 @@ class Controller:
             self._gains = Gains(self.prepared, self.staged, self.units)
 
     def constant_units(self) -> AbstractContextManager[None]:
-        """A context in which the units are constant, as in C."""
+        """A context in which the units are constant, as in the C code."""
         return self._plan_units.constant()
 
     @property
     def units(self) -> Units:
-        """The units that the solver computes in."""
+        """The units that the solver uses."""
         return self._plan_units.units
 
     def _first_controls(self) -> Values:
         here = self.prepared.z[self._node.size :]
         return {name: here[columns].reshape(shape).copy() for name, (columns, shape) in self.controls.items()}
 
-    # ---- between solves ---------------------------------------------------------------------------------------------
+    # ---- between two solves -----------------------------------------------------------------------------------------
 
     @property
     def gains(self) -> Values:
         """Derivatives of the first controls with respect to the measured state: control name -> (*shape, n).
 
-        $u(x) = u_0 + K Log(x_0^-1 x)$ to first order, with the present active limits, and n the tangents of the states
-        in the order of their declaration. K is the gain of a Riccati recursion along the plan, including variations of
-        free times, free parameters and equalities at nodes. Computed at access: about one iteration of the solver.
+        $u(x) = u_0 + K Log(x_0^-1 x)$ to first order, with the present active limits. n is the number of tangents of
+        the states, in the order of their declaration. K is the gain of a Riccati recursion along the plan, including
+        variations of free times, free parameters and equalities at nodes. It is computed on access, which takes about
+        as long as one iteration of the solver.
 
         Raises:
             TrajectoryError: the plan is not a strict minimum.
@@ -303,9 +306,9 @@ class Controller:
         return {name: columns[part].reshape(*shape, n) for name, (part, shape) in self.controls.items()}
 
     def correct(self, x: Mapping[Any, Any]) -> Values:
-        """The first controls, corrected for a newer state by the gains: feedback between solves.
+        """The first controls, corrected for a newer state by the gains; use it between two solves.
 
-        $u = u_0 + K Log(x_0^-1 x)$, within the limits of the controls.
+        The correction is $u = u_0 + K Log(x_0^-1 x)$, clipped to the limits of the controls.
 
         Args:
             x: as for `feedback`.
@@ -335,7 +338,7 @@ class Controller:
         """The times of the nodes, (nodes,), s, from now."""
         return np.asarray(self.part.mesh.shares * self.staged.point(self.prepared.z).border[0])
 
-    # ---- in C -------------------------------------------------------------------------------------------------------
+    # ---- C code -----------------------------------------------------------------------------------------------------
 
     def to_c(
         self,
@@ -346,38 +349,39 @@ class Controller:
         tolerance: float = 1e-9,
         memory: int = MEMORY,
     ) -> CFiles:
-        """Write C99 code: `name.h` with the calling convention, `name.c`, and `name_test.c` with reference values.
+        """Write C99 code: `name.h` with the interface, `name.c`, and `name_test.c` with reference values.
 
-        The code is the solver's core, the functions of the problem and `name_init`, `name_prepare`, `name_feedback`
-        and `name_shift`, in double precision; `name_init` begins with the present plan. It allocates no memory, has no
-        global state, and needs libm only. The header states the workspace and the operations of an iteration.
+        The code consists of the solver's core, the functions of the problem, and `name_init`, `name_prepare`,
+        `name_feedback` and `name_shift`, in double precision. `name_init` sets the present plan. The code allocates no
+        memory, has no global state, and needs only libm. The header states the size of the workspace and the number of
+        operations of an iteration.
 
         Args:
             directory: the folder of the files, which is created if missing.
             name: the name of the files, and the prefix of all functions.
-            states: measured states of the test program, which shifts the plan after each; by default random states near
-                the plan.
-            tolerance: of its comparison, relative to the largest entry of an iterate.
-            memory: bytes that the controller may take to be faster; with 0 it is as small as it can be. The header
+            states: measured states of the test program, which shifts the plan after each of them; by default random
+                states near the plan.
+            tolerance: tolerance of the test program's comparison, relative to the largest entry of an iterate.
+            memory: bytes that the controller may use for a faster solve; with 0 the memory is minimal. The header
                 states its size.
         Returns:
-            The paths: `header`, `source`, `test`.
+            The paths `header`, `source` and `test`.
         Raises:
             TrajectoryError: a function of the problem has no scalar form.
-            InputError: a name that C does not have; the directory cannot be written to, or has other files of those
-                names.
+            InputError: a name that is not a C identifier; a directory that is not writable, or that contains other
+                files of these names.
         """
         return write_controller(self, directory, name=name, states=states, tolerance=tolerance, memory=memory)
 
     @property
     def measures(self) -> dict[str, float]:
-        """Measures of the last solve: cost, error, violation, iterations and others, in scales of the solver.
+        """Measures of the last solve in the solver's scales: cost, error, violation, iterations and others.
 
-        A controller ends at the first-order conditions: `excess` is NaN, and `minimum` is 0 for a minimum too.
+        A controller does not test for a minimum: `excess` is NaN, and `minimum` is 0 even at a minimum.
         """
         return self.prepared.measures
 
 
-#: How solves end, by what the core says.
+#: The `Status` for each exit status of the core.
 _STATUS = {status: Status[status.name] for status in CoreStatus if status.name in Status.__members__}
 _STATUS[CoreStatus.STOPPED] = Status.OUT_OF_TIME

@@ -1,4 +1,4 @@
-"""A controller as C99: the solver's core, the functions of the problem, and the three calls."""
+"""A controller as C99 code: the solver's core, the functions of the problem, and the controller's three calls."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from .rehearsal import drawn_states, rehearsed
 
 _REAL = c_type(np.dtype(float))
 
-#: Bytes of memory that a controller may take to be faster.
+#: Bytes of memory that a controller may use for a faster solve.
 MEMORY = 256 * 1024
 
 
@@ -46,7 +46,7 @@ class ControllerCode:
         self._params = self._parameters()
 
     def files(self, folder: Path, x: Sequence[Mapping[str, Any]], tolerance: float) -> tuple[CFiles, dict[Path, str]]:
-        """Paths, and their texts."""
+        """Paths of the files, with their texts."""
         name = self._name
         files = CFiles(folder / f"{name}.h", folder / f"{name}.c", folder / f"{name}_test.c")
         test = self._filled("controller_test.c.in", **self._test(x, tolerance))
@@ -82,8 +82,8 @@ class ControllerCode:
 
     @functools.cached_property
     def _window(self) -> int:
-        """How many intervals are evaluated together: all where the controller may take the memory, which is faster,
-        else as many as the memory of the linear system has room for.
+        """The number of intervals that are evaluated together: all if the memory suffices, which is faster; else as
+        many as fit into the memory of the linear system.
         """
         window, phase = LANES, self._staged.transcription
         intervals = phase.phases[0].intervals
@@ -97,7 +97,7 @@ class ControllerCode:
         return window
 
     def _doubles(self, window: int) -> int:
-        """Numbers of a controller."""
+        """The number of doubles that a controller needs."""
         per_name = {"points": 1, "variables": 5, "rows": 2, "defects": 1, "equalities": 1, "parameters": 0}
         of_sizes = sum(per_name[name] * count for name, count in self._sizes.items())
         return of_sizes + sum(self._counts(window).values())
@@ -107,7 +107,9 @@ class ControllerCode:
 
     @property
     def _layout(self) -> dict[str, int]:
-        """What the memory of the core depends on beside sizes: few iterations fill no filter and need no watchdog."""
+        """Properties of the core's memory layout besides sizes: with few iterations it needs neither a filter nor a
+        watchdog.
+        """
         options = self._solve.options
         rows, trigger = int(options.iterations) + 1, options.watchdog_trigger
         return {
@@ -145,13 +147,13 @@ class ControllerCode:
 
     @property
     def _side(self) -> int:
-        """Numbers of a right side of the linearised first-order conditions."""
+        """The number of doubles of a right-hand side of the linearised first-order conditions."""
         solve = self._solve
         return len(solve.v) + len(solve.lam) + len(solve.s) + len(solve.ye) + 1
 
     @property
     def _arguments(self) -> dict[str, str]:
-        """Arguments of functions in C, each after a comma."""
+        """Arguments of a C function, each preceded by a comma."""
         return {
             "state_arguments": self._state_arguments,
             "control_results": "".join(f", double *{_c(f'u_{name}')}" for name in self._controls),
@@ -164,7 +166,7 @@ class ControllerCode:
         return "".join(f", const double *{_c(f'x_{name}')}" for name, _ in self._states)
 
     def _work(self) -> dict[str, int]:
-        """Operations of scalars: those of kernels as they are, products of matrices by their sizes."""
+        """The number of scalar operations: those of the kernels, and those of matrix products from their sizes."""
         operations, (phase,) = self._phase.kernels.operations, self._staged.transcription.phases
         method, K = phase.method, phase.intervals
         stages, points = method.substeps * len(method.b), method.substeps + 1
@@ -182,7 +184,7 @@ class ControllerCode:
         riccati += 2 * size * size * (sum(self._stages.inequalities) + sum(self._stages.equalities))
         return {"functions": sum(of_kernels.values()) + products, "trial": values, "riccati": riccati}
 
-    # ---- the source -------------------------------------------------------------------------------------------------
+    # ---- source file ------------------------------------------------------------------------------------------------
 
     def _core(self) -> str:
         phase, stages = self._staged.transcription.phases[0], self._stages
@@ -257,7 +259,7 @@ class ControllerCode:
         }
 
     def _constants(self) -> dict[str, Any]:
-        """Arrays by their names in C: the present plan, units, sizes of stages, and places of later values."""
+        """Arrays by their names in C: the present plan, units, sizes of stages, and indices of the shift."""
         solve, staged, stages = self._solve, self._staged, self._stages
         phase, units, shift = staged.transcription.phases[0], self._controller.units, self._controller.moves_on
         flat = -np.ones(self._sizes["variables"], np.int32)
@@ -292,7 +294,9 @@ class ControllerCode:
         }
 
     def _parameters(self) -> dict[str, tuple[Array, Array]]:
-        """Values, and where each entry stands in the data: several columns of the same values for those by node."""
+        """Values, and the position of each entry in the data; parameters with a value for each node have several
+        columns.
+        """
         numbers, by_node = self._staged.numbers, self._controller.part.by_node
         placed = {name: values for name, values in self._controller.params.items() if name not in by_node.leaves}
         params = {name: (values, numbers.places([name], [])) for name, values in placed.items()}
@@ -319,10 +323,10 @@ class ControllerCode:
             ]
         return "\n".join(lines)
 
-    # ---- the test ---------------------------------------------------------------------------------------------------
+    # ---- test program -----------------------------------------------------------------------------------------------
 
     def _test(self, states: Sequence[Mapping[str, Any]], tolerance: float) -> dict[str, Any]:
-        """The iterates that the controller of Python ends at; it is as it was after that."""
+        """The iterates of the Python controller, whose state is restored afterwards."""
         expected, iterations, statuses = rehearsed(self._controller, states)
         columns = {name: np.array([np.ravel(x[name]) for x in states], float) for name, _ in self._states}
         data = [array(_c(f"measured_{name}"), values) for name, values in columns.items()]
@@ -342,7 +346,7 @@ class ControllerCode:
 
 
 def _c(name: str) -> str:
-    """A name in C: what C does not allow is an underscore."""
+    """A name in C, with underscores in place of characters that C does not allow."""
     return re.sub(r"[^A-Za-z0-9_]", "_", name)
 
 

@@ -1,4 +1,4 @@
-"""The first node of a plan: where its states stand, and how far a measured state is from it."""
+"""The first node of a plan: the layout of its states, and its distance from a measured state."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ class FirstNode:
     """Reads measured states, and writes them into the first node of a plan.
 
     Args:
-        staged: of one phase.
-        dynamics: of that phase.
+        staged: a problem of one phase.
+        dynamics: the dynamics of that phase.
 
     Attributes:
-        size: numbers of the node's point.
-        n: of its tangents.
+        size: the number of entries of the node's point.
+        n: the number of its tangents.
     """
 
     def __init__(self, staged: Staged, dynamics: Any) -> None:
@@ -44,7 +44,7 @@ class FirstNode:
         """A measured state as a point.
 
         Raises:
-            InputError, ShapeError: a state is missing, has another shape or numbers that are not finite, or is no
+            InputError, ShapeError: a state is missing, has another shape or numbers that are not finite, or is not an
                 element of its group.
         """
         if not isinstance(x, Mapping) or len(x) != len(self._states):
@@ -65,18 +65,18 @@ class FirstNode:
         return base
 
     def point(self, solve: PreparedSolve) -> Array:
-        """The first node's point, a copy."""
+        """A copy of the first node's point."""
         return solve.z[: self.size].copy()
 
     def write(self, solve: PreparedSolve, base: Array) -> None:
         """Fix the first node at a point."""
         solve.z[: self.size] = base
-        for places, columns, _, group in self._states.values():  # points of manifolds have the coordinates zero
+        for places, columns, _, group in self._states.values():  # the coordinates of a point on a manifold are zero
             at = base[places] if group.flat else 0.0
             solve.v[columns] = solve.lower[columns] = solve.upper[columns] = at
 
     def difference(self, solve: PreparedSolve, base: Array) -> Array:
-        """Log(x_0^-1 x) of a point x and the first node of the plan."""
+        """Log(x_0^-1 x) for a point x and the first node x_0 of the plan."""
         here = solve.z[: self.size]
         if self._flat:
             return base - here

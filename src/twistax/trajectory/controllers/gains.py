@@ -1,4 +1,4 @@
-"""Derivatives of a plan by its first state, from the linearised first-order conditions."""
+"""Derivatives of a plan with respect to its initial state, from the linearised first-order conditions."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from ...solver.options import Options
 from ...solver.prepared import PreparedSolve
 from ..transcription.staged import Staged
 
-#: Distances from bounds below this, in units of their variables, are rounding.
+#: Distances from bounds below this value, in units of their variables, are round-off.
 GAINS_LEAST = 1e-12
-#: How much less on the diagonal leaves a plan a strict minimum.
+#: A plan is a strict minimum if its Hessian is positive definite after this subtraction from the diagonal.
 GAINS_CURVATURE = 1e-12
 
 
 class Gains:
-    """How the first controls of a plan move with its first state.
+    """The derivatives of the first controls of a plan with respect to its initial state.
 
     Args:
-        solve: with the plan.
-        staged: of one phase.
+        solve: the prepared solve that holds the plan.
+        staged: a problem of one phase.
     """
 
     def __init__(self, solve: PreparedSolve, staged: Staged, units: Units) -> None:
@@ -32,10 +32,10 @@ class Gains:
         self._moves = Moves(staged.transcription, units, Options(curvature=GAINS_CURVATURE), fixed, transposed=False)
 
     def __call__(self, n: int) -> Array:
-        """(m, n) derivatives of the controls of the first interval by the tangents of the first node.
+        """(m, n) derivatives of the controls of the first interval with respect to the tangents of the first node.
 
         Raises:
-            TrajectoryError: the plan is no strict minimum, or has no finite derivatives.
+            TrajectoryError: the plan is not a strict minimum, or its derivatives are not finite.
         """
         solve, stages = self._solve, self._stages
         least = GAINS_LEAST * self._units

@@ -1,4 +1,4 @@
-"""What a controller did, call by call."""
+"""A log of a controller's calls."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class StepRecord:
     """One call of `Controller.feedback`.
 
     Attributes:
-        status: of its solve. SOLVED: the first-order conditions hold within the tolerance, on the mesh.
+        status: status of the solve. SOLVED: the first-order conditions hold within the tolerance, on the mesh.
         iterations: iterations of the solver.
         seconds: wall time of the call, s.
         cost: the objective of the plan.
@@ -46,7 +46,7 @@ class ControllerLog:
 
     def append(self, record: StepRecord) -> None:
         self._records.append(record)
-        if len(self._records) >= 2 * self._size:  # rarely, for removal at the front takes time
+        if len(self._records) >= 2 * self._size:  # rarely, because removal at the front is slow
             del self._records[: -self._size]
 
     def _last(self) -> list[StepRecord]:
@@ -100,7 +100,7 @@ class ControllerLog:
         return f"ControllerLog({len(self)} calls: {ended}; {median:.3g} ms median, {late:.3g} ms at 99 %)"
 
     def plot(self) -> Any:
-        """A matplotlib figure: times, iterations, objectives and violations over the number of the call.
+        """A matplotlib figure of times, iterations, objectives and violations by call.
 
         Raises:
             TrajectoryError: there were no calls.

@@ -1,4 +1,6 @@
-"""The solver's units of a controller: measured at its first plan, and anew where a state is far from the plan."""
+"""The solver's units of a controller: measured at its first plan, and again after a large
+change of the measured state.
+"""
 
 from __future__ import annotations
 
@@ -16,27 +18,27 @@ from ..strategy.measure import COST
 from ..transcription.staged import Staged
 from .barrier import BARRIER_MOST, BARRIER_SHARE
 
-#: A measured state so many units away from the plan says that the units do not fit: the first barrier parameter is at
-#: its limit there.
+#: A measured state that differs from the plan by this number of units indicates wrong units: the initial barrier
+#: parameter would be at its limit.
 _FAR = BARRIER_MOST / BARRIER_SHARE
-#: Units that differ by no more than this factor are alike.
+#: Units that differ by at most this factor count as equal.
 _ALIKE = 10.0
 
 
 class PlanUnits:
-    """Units that follow a plan.
+    """Units that are adapted to the plan.
 
-    A plan at rest says nothing of what states and controls a disturbance takes, or that they are as small as the noise
-    in it. A state that is far away from it, in its units, says that they are wrong: then they are measured at the plan
-    with that state, and at the next plans until two in a row are alike.
+    A plan at rest contains no information about the states and controls that a disturbance requires. A state that is
+    far from the plan, in units of the states, indicates that the units are wrong. Then they are measured at the plan
+    with that state, and at each following plan until two successive measurements agree.
 
     Args:
-        staged: of one phase.
-        first: measured at the first plan.
+        staged: a problem of one phase.
+        first: the units measured at the first plan.
 
     Attributes:
-        units: for the solver's core.
-        are_new: whether they are those of another plan than the one that was solved last.
+        units: the current units, for the solver's core.
+        are_new: whether they were measured at another plan than the one that was solved last.
     """
 
     def __init__(self, staged: Staged, first: StartUnits) -> None:
@@ -44,15 +46,15 @@ class PlanUnits:
         self.units, self.are_new = _for_core(first), False
 
     def are_far_below(self, difference: Array) -> bool:
-        """Whether the units do not fit a move of the states."""
+        """Whether the units are too small for a move of the states."""
         return not self._stay and self.largest(difference) > _FAR
 
     def largest(self, difference: Array) -> float:
-        """The largest entry of a move of the states, in their units."""
+        """The largest entry of a move of the states, in units of the states."""
         return float((np.abs(difference) / np.asarray(self.units.size)[: len(difference)]).max(initial=0.0))
 
     def measure(self, solve: PreparedSolve) -> bool:
-        """Measure units at the plan of a solve; whether they are others than before."""
+        """Measure the units at the plan of a solve; return whether they have changed."""
         with in_double(), np.errstate(all="ignore"):
             measured = StartUnits(self._staged, self._staged.point(solve.z.copy()))
         self.are_new = bool(measured.distance(self._measured) > np.log(_ALIKE))
@@ -63,7 +65,7 @@ class PlanUnits:
 
     @contextlib.contextmanager
     def constant(self) -> Iterator[None]:
-        """Within it units stay, as in C."""
+        """A context in which the units are constant, as in C code."""
         self._stay = True
         try:
             yield

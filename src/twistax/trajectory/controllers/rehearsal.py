@@ -1,4 +1,4 @@
-"""Calls of a controller for the test of its C code, which leave it as it was."""
+"""Calls of a controller for the test of its C code; the controller's state is restored afterwards."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .log import ControllerLog
 
 
 def drawn_states(controller: Any, count: int = 5) -> list[dict[str, Array]]:
-    """States near the nodes of the plan, at random."""
+    """Random states near the nodes of the plan."""
     rng, group, nodes = np.random.default_rng(0), controller.part.dynamics.group, controller.xs
     units = np.asarray(controller.units.size)[: controller.part.shooting.n]
     states = []
@@ -26,7 +26,9 @@ def drawn_states(controller: Any, count: int = 5) -> list[dict[str, Array]]:
 
 
 def rehearsed(controller: Any, states: Sequence[Mapping[str, Any]]) -> tuple[Array, Array, Array]:
-    """Points, iterations and statuses of calls, each followed by a shift; nothing of the controller changes."""
+    """Points, iterations and statuses of calls, each followed by a shift; the controller's state is restored
+    afterwards.
+    """
     kept, log, status = controller.prepared.saved(), controller.log, controller.status
     controller.log = ControllerLog(len(states))
     points, counts = [], []

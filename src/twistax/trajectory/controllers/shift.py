@@ -1,4 +1,4 @@
-"""A plan one interval later: which entries of an iterate take the values of which."""
+"""The shift of a plan by one interval: for each entry of an iterate, the index of the entry that replaces it."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from ..transcription.staged import Staged
 
 
 class Shift:
-    """Moves the iterate of a prepared solve one interval ahead.
+    """Shifts the iterate of a prepared solve by one interval.
 
-    Controls, multipliers and slacks of an interval become those of the next one. The last control stays, and the last
-    state is integrated with it, by the problem's transcription.
+    Controls, multipliers and slacks of an interval are replaced by those of the next one. The last control is repeated,
+    and the last state is integrated with it, by the problem's transcription.
 
     Args:
-        staged: of one phase, whose nodes lie at equal distances.
+        staged: a problem of one phase, with nodes at equal distances.
 
     Attributes:
-        points, variables, defects, rows, equalities: of each entry the place of its later value.
+        points, variables, defects, rows, equalities: for each entry the index of its value one interval later.
     """
 
     def __init__(self, staged: Staged) -> None:
@@ -52,7 +52,7 @@ class Shift:
         self._integrate_last(solve)
 
     def _integrate_last(self, solve: PreparedSolve) -> None:
-        """The last node moves by the defect before it; where that is not finite it stays."""
+        """Move the last node by the defect before it, if that is finite."""
         transcription = self._staged.transcription
         stages = transcription.stages
         at, step = Evaluated(transcription, solve.z), np.zeros(stages.variables)
@@ -65,11 +65,11 @@ class Shift:
 
 
 def _stage_after(states: Sequence[int], controls: Sequence[int], shared: Array) -> Array:
-    """Of each entry (x_0, u_0, ..., x_N, p) that of a stage later."""
+    """For each entry of (x_0, u_0, ..., x_N, p), the index of the entry one stage later."""
     nodes, n, m = len(states), states[0], controls[0]
     places = np.arange(nodes * (n + m)).reshape(nodes, n + m)
     later = np.concatenate([places[1:], places[-1:]])
-    later[-2:, n:] = places[-2, n:]  # the last control stays; the last stage has none
+    later[-2:, n:] = places[-2, n:]  # the last control is repeated; the last stage has none
     return np.concatenate([later[:-1].ravel(), later[-1, :n], shared])
 
 
@@ -79,10 +79,10 @@ def _interval_after(n: int, intervals: int) -> Array:
 
 
 def _row_after(places: Array, count: int) -> Array:
-    """Of each row that of the next interval, or itself where there is none.
+    """For each row, the index of the same row in the next interval, or of the row itself if there is none.
 
     Args:
-        places: (intervals, points, rows) numbers of path rows, -1 where there is none.
+        places: (intervals, points, rows) indices of path rows, -1 for none.
     """
     after = np.arange(count)
     here, later = places[:-1].ravel(), places[1:].ravel()

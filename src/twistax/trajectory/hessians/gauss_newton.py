@@ -1,4 +1,4 @@
-"""Objectives as sums of squares: their residuals, by the structure of the expression."""
+"""Objectives as sums of squares: their residuals, found from the structure of the expression."""
 
 from __future__ import annotations
 
@@ -49,12 +49,13 @@ _LINEAR = (Add, Sub, Neg, Index, Sum, Concat, Stack, Hstack, Vstack, Transpose)
 
 
 class Term(NamedTuple):
-    """A term of an objective: factor * sum of weight * residual^2, or factor * residual' weight residual.
+    """A term of an objective: factor * sum(weight * residual^2), or factor * residual' weight residual for a matrix
+    weight.
 
     Attributes:
         residual: of any shape; a vector where the weight is a matrix.
-        factor: a scalar without unknowns.
-        weight: without unknowns: a scalar, of the shape of the residual, or a matrix.
+        factor: a scalar that does not depend on unknowns.
+        weight: independent of unknowns: a scalar, an array of the residual's shape, or a matrix.
     """
 
     residual: Expr
@@ -63,18 +64,19 @@ class Term(NamedTuple):
 
 
 class SumOfSquares:
-    """The squares of an expression. Its other terms are linear in the unknowns and have no second derivative.
+    """An expression as a sum of squares. Its other terms are linear in the unknowns, so their second derivative is
+    zero.
 
     Args:
-        place: what it is called in messages.
+        place: the name of the expression in messages.
         expr: a scalar expression.
-        free: names of parameters that are unknowns.
+        free: names of the free parameters.
 
     Attributes:
         terms: the squares.
 
     Raises:
-        TrajectoryError: it is no such sum.
+        TrajectoryError: the expression is not such a sum.
     """
 
     def __init__(self, place: str, expr: Expr, free: Collection[str]) -> None:
@@ -115,7 +117,7 @@ class SumOfSquares:
                 yield Term(residual, factor, weight)
 
     def _entries(self, expr: Expr) -> tuple[Expr, Expr]:
-        """Weights and residuals of squares, entry by entry."""
+        """The weights and residuals of squares, entry by entry."""
         parts = expr.children()
         if isinstance(expr, Square):
             return Constant(1.0), parts[0]
@@ -134,7 +136,7 @@ class SumOfSquares:
         raise self._refused(expr)
 
     def _product(self, expr: Expr, factor: Expr) -> Term:
-        """The squares of a @ a, w @ a^2 and a @ W @ a."""
+        """The squares in the products a @ a, w @ a^2 and a @ W @ a."""
         (before, left), (after, right) = map(self._peeled, expr.children())
         if left.key() == right.key():
             return Term(left, factor, before * after)
@@ -151,7 +153,7 @@ class SumOfSquares:
         raise self._refused(expr)
 
     def _peeled(self, expr: Expr) -> tuple[Expr, Expr]:
-        """The factors without unknowns, and the rest of a product."""
+        """The factors of a product that do not depend on unknowns, and the product of the others."""
         parts = expr.children()
         if isinstance(expr, Neg):
             factor, rest = self._peeled(parts[0])
@@ -222,7 +224,7 @@ class SquaresHessian:
         return known[Argument.WEIGHTS][-1] * hessian[self._unknown(m)].reshape(-1)
 
     def _unknown(self, left_out: int) -> Any:
-        """The places of rows and columns of the unknowns of q, without so many controls."""
+        """The indices of the unknown rows and columns of q, without this number of controls."""
         n, m = self._shooting.n, self._shooting.m
         shared = n + m + np.flatnonzero(self._shooting.border.unknown)
         columns = np.concatenate([np.arange(n + m - left_out), shared])
@@ -231,8 +233,8 @@ class SquaresHessian:
     def _hessian(
         self, q: jax.Array, share: jax.Array, base: Any, params: Any, terms: Sequence[Any], root: Any
     ) -> jax.Array:
-        """(q, q) the sum of 2 factor R' weight R over the residuals, R their slopes; residuals are scaled by the root
-        of T.
+        """(q, q) the sum of 2 factor R' weight R over the residuals, where R is the Jacobian of the residual; residuals
+        are scaled by the root of T.
         """
         residuals, factors, weights = terms
 

@@ -18,13 +18,13 @@ class Hessian(Protocol):
     """The interface of `Problem(hessian=...)`.
 
     Attributes:
-        by_updates: whether second derivatives come from steps of the search.
+        by_updates: whether updates during the search provide second derivatives.
     """
 
     by_updates: ClassVar[bool]
 
     def squares(self, shooting: Shooting) -> ExtraHessian | None:
-        """Second derivatives in place of the exact ones; None if updates during the search provide them."""
+        """Approximate second derivatives from squares; None if updates during the search provide them."""
         ...
 
 
@@ -38,14 +38,14 @@ class GaussNewton:
     curvature. The optimum is the same; convergence is linear, and faster for smaller residuals and multipliers.
     Source: Nocedal and Wright, Numerical Optimization (2006), (10.23).
 
-    The squares are recognised in the expressions: `u**2`, `a @ a`, `a @ W @ a`, `w @ a**2`, `Norm(a)**2`,
-    `Sum(w * a**2)`, in sums and times factors without states or controls. Terms that are linear in states and
-    controls have no second derivative.
+    The squares are recognised in the expressions: `u**2`, `a @ a`, `a @ W @ a`, `w @ a**2`, `Norm(a)**2`, `Sum(w *
+    a**2)`, in sums and times factors without states or controls. Terms that are linear in states and controls have a
+    zero second derivative.
 
     Example: `Problem(..., tx.Minimize(running=(x - r) @ W @ (x - r) + 0.1 * u**2), hessian=GaussNewton())`.
 
     Raises:
-        TrajectoryError: when the problem is built, for an objective with another term.
+        TrajectoryError: the objective has a term of another kind; raised when the problem is built.
     """
 
     by_updates: ClassVar[bool] = False
@@ -73,15 +73,15 @@ class QuasiNewton:
     derivative is compiled or evaluated: use it for large rates, or rates that call Python functions. A solve takes more
     iterations, most of them two to six times as many.
 
-    The block B of a stage becomes $B + r r^T / (r^T s)$ with $r = y - B s$, for a scaled step s of its unknowns, and
-    the change y of the gradient of its part of the Lagrangian. Both are in coordinates about the node before the
-    step.
+    The block B of a stage becomes $B + r r^T / (r^T s)$ with $r = y - B s$. Here s is the scaled step of the unknowns
+    of the stage, and y the change of the gradient of its part of the Lagrangian. Both are in coordinates about the node
+    before the step.
     Source: Nocedal and Wright, Numerical Optimization (2006), (6.24).
 
     Example: `Problem(..., hessian=tx.trajectory.QuasiNewton())`.
 
     Raises:
-        TrajectoryError: with `solver=`: IPOPT and Fatrop need second derivatives.
+        TrajectoryError: it is used with IPOPT or Fatrop (`solver=`), which need second derivatives.
     """
 
     by_updates: ClassVar[bool] = True
@@ -91,7 +91,7 @@ class QuasiNewton:
 
 
 def checked_hessian(hessian: Any) -> Hessian | None:
-    """Raise TrajectoryError for something that is no Hessian option."""
+    """Raise TrajectoryError for an object that is not a Hessian option."""
     if hessian is not None and (isinstance(hessian, type) or not isinstance(hessian, Hessian)):
         raise TrajectoryError(
             "hessian expects tx.trajectory.GaussNewton(), tx.trajectory.QuasiNewton(), or nothing for exact second "

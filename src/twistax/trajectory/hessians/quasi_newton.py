@@ -15,9 +15,9 @@ from ...solver.kernels import Argument
 from ...solver.transcription import Transcription
 from ..transcription.evaluation import Evaluated
 
-#: [NW] (6.26), r: an update whose denominator is a smaller share of the lengths of its vectors is left out.
+#: [NW] (6.26), r: an update is skipped if its denominator is a smaller fraction of the product of its vectors' lengths.
 _LEAST = 1e-8
-#: What moves of a stage by its sizes change of the objective at first, over what moves of all unknowns change.
+#: The ratio of the change of the objective by moves of one stage, initially, to its change by moves of all unknowns.
 _FIRST = 0.1
 _POINTER = ctypes.POINTER(ctypes.c_double)
 
@@ -25,19 +25,19 @@ _POINTER = ctypes.POINTER(ctypes.c_double)
 class StageUpdates:
     """Symmetric rank-one updates, one block for each stage.
 
-    Block k is of (x_k, u_k, p). After a step s of these the gradients of the Lagrangian's share of the stage, with the
-    multipliers of now, differ by y, and the block B becomes B + r r' / r's with r = y - B s. All vectors are in units
-    of the unknowns. Blocks may be indefinite, which the core mends.
+    Block k belongs to (x_k, u_k, p). Let s be a step of these unknowns, and y the change of the gradient of the stage's
+    part of the Lagrangian, with the current multipliers. Then the block B becomes B + r r' / r's with r = y - B s. All
+    vectors are in units of the unknowns. Blocks may be indefinite; the core corrects their inertia.
     Source: Nocedal and Wright, Numerical Optimization (2006), (6.24), [NW]; by blocks Bock and Plitt, A multiple
     shooting algorithm for direct solution of optimal control problems, IFAC Proceedings 17 (1984).
 
     Args:
         transcription: the problem.
-        sizes: of all unknowns v.
-        cost: unit of the objective.
+        sizes: the sizes of all unknowns v.
+        cost: the unit of the objective.
 
     Attributes:
-        functions: those of the problem, with these Hessians.
+        functions: the functions of the problem, with these Hessians.
     """
 
     def __init__(self, transcription: Transcription, sizes: Array, cost: float) -> None:
@@ -55,7 +55,7 @@ class StageUpdates:
         self.functions: StageFunctions = dataclasses.replace(transcription.functions, hessians=address, owner=self)
 
     def check(self) -> None:
-        """Raise an error that occurred in a callback of the core."""
+        """Raise the error that a callback of the core has recorded."""
         if self._error is not None:
             raise self._error
         self._transcription.check()
@@ -73,7 +73,7 @@ class StageUpdates:
         return 0
 
     def _at(self, z: Array, weight: float, multipliers: Sequence[Array]) -> list[Array]:
-        """The blocks at a point, in the problem's units, after the update with the step to it."""
+        """The blocks at a point, in the problem's units, after the update with the step to this point."""
         at = Evaluated(self._transcription, z)
         at.jacobians()
         here = _Place(z, *self._derivatives(at))
@@ -88,7 +88,7 @@ class StageUpdates:
         return [weight * block / np.outer(size, size) for block, size in zip(self._blocks, self._sizes)]
 
     def _derivatives(self, at: Evaluated) -> tuple[list[Array], list[list[Array]]]:
-        """For each stage the gradient of its cost and the Jacobians of its defects, inequalities and equalities."""
+        """For each stage, the gradient of its cost and the Jacobians of its defects, inequalities and equalities."""
         stages, slopes = self._transcription.stages, np.concatenate(self._transcription.cost_slopes)
         of_stages = np.split(at.gradient[: stages.variables - stages.parameters], stages.first[1:])
         kinds = ((at.F, stages.after), (at.Jh, stages.inequalities), (at.Je, stages.equalities))
@@ -119,14 +119,14 @@ class StageUpdates:
 
 
 class _Turn(NamedTuple):
-    """The left and the right Jacobian at a step."""
+    """The left and the right Jacobian of the exponential map at a step."""
 
     left: Array
     right: Array
 
 
 def _about_before(gradient: Array, turn: _Turn | None) -> Array:
-    """A gradient with respect to the node before a step, from that with respect to the node after it."""
+    """A gradient with respect to the node before a step, from the gradient with respect to the node after it."""
     if turn is None:
         return gradient
     n = len(turn.right)
@@ -139,7 +139,7 @@ def _turned_back(multipliers: Array, turn: _Turn | None) -> Array:
 
 
 class _Place(NamedTuple):
-    """A point with the derivatives of each stage."""
+    """A point, with the derivatives of each stage there."""
 
     z: Array
     cost: list[Array]

@@ -1,4 +1,6 @@
-"""What a problem states: phases, objective, conditions, constraints, and how it is solved."""
+"""The statement of an optimal-control problem: phases, objective, boundary conditions and path constraints, and its
+solve.
+"""
 
 from ...expr.moved import earlier_classes
 

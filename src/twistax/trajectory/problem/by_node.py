@@ -1,4 +1,4 @@
-"""Parameters with a value for each node, linear in time between them: references and weights of an objective."""
+"""Parameters with a value for each node, linear in time between nodes: references and weights of an objective."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from ...errors import InputError, ModelError, ShapeError
 from ...expr import Expr, Parameter, leaves_of
 from ..transcription.vectors import Flat
 
-#: Before the values in a row: the share of the node, and one over that of the interval after it, zero after the last.
+#: Each row begins with the node's fraction of the duration and one over the fraction of the interval after it; zero for
+#: the last node.
 _HEAD = 2
 
 
@@ -24,9 +25,9 @@ class ByNode:
     """The parameters of a problem that have a value for each node.
 
     Attributes:
-        leaves: by name; each of the shape of a single value.
-        stated_shares: shares of the nodes for which values are stated.
-        shares: of the nodes that there are.
+        leaves: the parameters by name, each with the shape of a single value.
+        stated_shares: fractions of the duration at the nodes for which values are stated.
+        shares: fractions of the duration at the nodes of the mesh.
     """
 
     leaves: Mapping[str, Parameter]
@@ -35,10 +36,10 @@ class ByNode:
 
     @classmethod
     def of(cls, value: Any, shares: Array) -> ByNode:
-        """The parameters of `by_node=`.
+        """The `ByNode` of the argument `by_node=`.
 
         Raises:
-            ModelError: no list of parameters.
+            ModelError: the argument is not a list of parameters.
         """
         if isinstance(value, ByNode):
             return dataclasses.replace(value, shares=shares)
@@ -50,10 +51,10 @@ class ByNode:
     def check(
         self, objective: Iterable[Expr], elsewhere: Iterable[Expr], read: Iterable[str], free: Iterable[str]
     ) -> None:
-        """Raise ModelError unless only the objective reads them, and none is free.
+        """Raise ModelError if anything but the objective reads one of these parameters, or if one is free.
 
         Args:
-            objective, elsewhere: expressions of the objective, and all others.
+            objective, elsewhere: expressions of the objective, and all other expressions.
             read: names of the parameters that the system reads.
             free: names of the free parameters.
         """
@@ -68,7 +69,7 @@ class ByNode:
             if name in elsewhere_read:
                 raise ModelError(
                     f"by_node names {name!r}, which a rate, a constraint or a bound of a norm reads; a value for each "
-                    "node is for the objective.\n  fix: take a table over time there, or a square in place of a norm"
+                    "node is for the objective.\n  fix: use a table over time there, or a square in place of a norm"
                 )
             if name not in known:
                 raise ModelError(
@@ -76,10 +77,11 @@ class ByNode:
                 )
 
     def values(self, name: str, value: Any) -> Array:
-        """(nodes, ...) of a parameter, from as many, from those for the nodes as stated, or from one for all.
+        """The values (nodes, ...) of a parameter: from a value for each node of this mesh or of the stated nodes, or
+        from one for all.
 
         Raises:
-            InputError, ShapeError: other values.
+            InputError, ShapeError: values that are not finite, or of another shape.
         """
         shape, rows = self.leaves[name].shape, reals(f"params[{name!r}]", value, InputError)
         if not np.isfinite(rows).all():
@@ -108,7 +110,7 @@ class ByNode:
         return _HEAD + 2 * self._flat.size if self.leaves else 0
 
     def places(self, name: str) -> Array:
-        """Where a parameter begins in the row of a node, (node, next node); the same in the row after it."""
+        """Index ranges of a parameter in the row of a node: (values at the node, values at the next node)."""
         flat = self._flat
         first = _HEAD + int(flat.places(name)[0]) + np.array([0, flat.size])
         return np.stack([first, first + self.width])
@@ -122,22 +124,24 @@ class ByNode:
         return np.concatenate([self.shares[:, None], slopes[:, None], here, here[[*range(1, len(here)), -1]]], axis=1)
 
     def at(self, row: Any, share: Any) -> dict[str, Any]:
-        """The values at a share of the duration, from the row of the node before it."""
+        """The values at a fraction of the duration, from the row of the node before it."""
         here, after = jnp.split(row[_HEAD:], 2)
         return self._flat.split(here + (share - row[0]) * row[1] * (after - here))
 
     def along(self, params: Mapping[str, Any], share: Any) -> dict[str, Any]:
-        """The values at a share of the duration, from those at all nodes."""
+        """The values at a fraction of the duration, from the values at all nodes."""
         place = jnp.clip(jnp.searchsorted(self.shares, share, side="right") - 1, 0, len(self.shares) - 2)
         part = (share - jnp.asarray(self.shares)[place]) / jnp.diff(jnp.asarray(self.shares))[place]
         return {name: params[name][place] * (1.0 - part) + params[name][place + 1] * part for name in self.leaves}
 
 
 def only_once(parts: Sequence[ByNode]) -> None:
-    """Raise ModelError where two phases name the same parameter in `by_node`."""
+    """Raise ModelError if two phases name the same parameter in `by_node`."""
     seen = set[str]()
     for part in parts:
         for name in part.leaves:
             if name in seen:
-                raise ModelError(f"by_node names {name!r} in two phases.\n  fix: a parameter for each phase")
+                raise ModelError(
+                    f"by_node names {name!r} in two phases.\n  fix: use a separate parameter in each phase"
+                )
             seen.add(name)

@@ -1,4 +1,4 @@
-"""The arguments of many cases of a problem, split into those of each."""
+"""The arguments of `solve_many`, split into the arguments of each case."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ Choose = Callable[[int], Any]
 
 
 class Cases:
-    """Splits arguments of `solve_many` into those of each case.
+    """Splits the arguments of `solve_many` by case.
 
     Args:
-        axes: how many axes an argument has in one case, in dicts as the arguments are.
-        given: the arguments.
+        axes: the number of axes of each argument in one case, in dicts of the arguments' structure.
+        given: the arguments of `solve_many`.
 
     Attributes:
-        count: how many cases there are.
+        count: the number of cases.
 
     Raises:
         ShapeError: arguments for different numbers of cases.
-        TrajectoryError: none of them has an axis of cases.
+        TrajectoryError: no argument has an axis of cases.
     """
 
     def __init__(self, axes: Mapping[str, Any], arguments: Mapping[str, Any]) -> None:
@@ -41,14 +41,16 @@ class Cases:
         self.count = next(iter(self._counts.values()))
         if len(set(self._counts.values())) > 1:
             counts = ", ".join(f"{name} has {count}" for name, count in self._counts.items())
-            raise ShapeError(f"solve_many expects as many cases in every argument: {counts}")
+            raise ShapeError(f"solve_many expects the same number of cases in every argument, got {counts}")
 
     def case(self, k: int) -> dict[str, Any]:
         """The arguments of one case."""
         return {name: choose(k) for name, choose in self._chosen.items()}
 
     def _of(self, what: str, value: Any, axes: Any) -> Choose:
-        """How to choose an argument of a case: an array with so many axes, or a dict of such arrays."""
+        """A function that selects one case of an argument: an array with this number of axes, or a
+        dict of such arrays.
+        """
         if isinstance(axes, int):
             return self._axis(what, value, axes)
         if not isinstance(value, Mapping) or axes is None:
@@ -60,11 +62,13 @@ class Cases:
         return lambda k: {name: choose(k) for name, choose in choices.items()}
 
     def _axis(self, what: str, value: Any, dimensions: int) -> Choose:
-        """How to choose an array of a case: with one axis more than `dimensions`, the first one counts the cases."""
+        """A function that selects one case of an array: with one axis more than `dimensions`, the first axis is that of
+        the cases.
+        """
         try:
             shared = value is None or isinstance(value, Mapping) or np.ndim(value) <= dimensions
         except ValueError as error:
-            raise ShapeError(f"solve_many: {what} expects an array, got {short(value)}: {error}") from None
+            raise ShapeError(f"solve_many: {what} expects numbers or arrays, got {short(value)}: {error}") from None
         if shared:
             return lambda _: value
         if len(value) == 0:
@@ -76,13 +80,13 @@ class Cases:
 def started_cases(
     problem: Any, cases: Cases, sizes: Callable[[int], Any] | None = None
 ) -> list[Started | TwistaxError]:
-    """What each case starts from and is for; the error of a case whose arguments do not fit the problem.
+    """The starts and the data of all cases, with the error of each case whose arguments do not fit the problem.
 
     Args:
-        sizes: as `Problem.started` takes them, by the number of the case.
+        sizes: as in `Problem.started`, by the index of the case.
 
     Raises:
-        TwistaxError: no case fits: that of the first, with its number.
+        TwistaxError: no case is valid; the error is that of the first case, with its index.
     """
     started: list[Started | TwistaxError] = []
     for k in range(cases.count):

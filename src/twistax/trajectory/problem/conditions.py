@@ -38,13 +38,13 @@ from ..transcription.point_values import PointValues
 from .statement import bounds_of, check_leaves, limited, without_end
 from .terms import linear_terms, sum_of
 
-#: An end beyond a limit by less than this share of it is at the limit.
+#: An end value beyond a limit by less than this fraction of the limit is moved to the limit.
 _ROUNDING = 1e-9
 
 
 @dataclasses.dataclass(frozen=True)
 class Conditions:
-    """Constraints on a node: inequalities (<= 0) first, then equalities."""
+    """Constraints at a node: inequalities (<= 0) first, then equalities."""
 
     names: tuple[str, ...]  # one for every entry
     residuals: tuple[Expr, ...]  # canonical
@@ -72,7 +72,7 @@ class Conditions:
 
 
 def conditions(dynamics: Dynamics, place: str, constraints: Mapping[str, Constraint]) -> Conditions:
-    """The residuals of the constraints on a node, named with the node."""
+    """The residuals of the constraints at a node; the suffix of their names states the node."""
     names: list[str] = []
     residuals: list[Expr] = []
     equality: list[bool] = []
@@ -92,7 +92,7 @@ def conditions(dynamics: Dynamics, place: str, constraints: Mapping[str, Constra
 
 
 def residual_of(constraint: Constraint) -> Expr:
-    """lhs - rhs; Log(rhs^-1 lhs) where both are rotations or poses, whose entries depend on each other."""
+    """lhs - rhs, or Log(rhs^-1 lhs) if both are rotations or poses, whose entries depend on each other."""
     left, right = constraint.lhs, constraint.rhs
     if isinstance(constraint, Equality) and left.is_group_element and right.is_group_element:
         log = SO3Log if left.shape == (3, 3) else SE3Log
@@ -103,9 +103,11 @@ def residual_of(constraint: Constraint) -> Expr:
 def stated_values(
     states: Sequence[State], constraints: Iterable[Constraint], params: Mapping[str, Array]
 ) -> dict[str, Array]:
-    """State -> the values that equalities at a node say, NaN elsewhere; states of which none says anything are left.
+    """State -> the values that equalities at a node prescribe, NaN for free entries. States without prescribed values
+    are omitted.
 
-    An equality says a value where one term of it is a state, or a part of one, and all others read parameters alone.
+    An equality prescribes a value if one of its terms is a state, or a part of a state, and its other terms read only
+    parameters.
     """
     known, known_values = {state.name: state for state in states}, dict[str, Array]()
     for constraint in constraints:
@@ -120,7 +122,7 @@ def stated_values(
     for name, values in known_values.items():
         for part in () if known[name].group.flat else known[name].group.parts:
             if part.unit == "rad" and np.isnan(values[part.place]).any():
-                values[part.place] = np.nan  # a part of a rotation is none
+                values[part.place] = np.nan  # a part of a rotation prescribes no value
     return known_values
 
 
@@ -143,7 +145,7 @@ def _stated_value(constraint: Constraint) -> tuple[str, Any, Expr] | None:
 
 
 def split(what: str, end: Any) -> tuple[dict[Any, Any], dict[str, Asked]]:
-    """The values and the named constraints of an end: a mapping, a constraint, or a list of both."""
+    """The values and the named constraints of `initial=` or `final=`: a mapping, a constraint, or a list of both."""
     values: dict[Any, Any] = {}
     constraints: dict[str, Asked] = {}
     items: Sequence[Any] = list(end) if isinstance(end, (list, tuple)) else [] if end is None else [end]
@@ -162,7 +164,7 @@ def split(what: str, end: Any) -> tuple[dict[Any, Any], dict[str, Asked]]:
 
 
 def at_nodes(at: Any, nodes: int) -> dict[int, dict[str, Asked]]:
-    """The constraints on inner nodes by name, from `at={node: constraint or a list of them}`."""
+    """The constraints at inner nodes by name, from `at={node: constraint or list of constraints}`."""
     if at is not None and not isinstance(at, Mapping):
         raise ModelError(
             f"at must be a dict from numbers of nodes to constraints, got {short(at)}; e.g. at={{5: p >= 1}}"
@@ -186,7 +188,7 @@ def at_nodes(at: Any, nodes: int) -> dict[int, dict[str, Asked]]:
 def end_values(
     states: Sequence[State], what: str, stated_end: Mapping[Any, Any] | None, declared: Collection[str]
 ) -> dict[str, Array | None]:
-    """The initial or final value of every state, NaN where an entry is free, None where all are."""
+    """The initial or final value of every state: NaN for free entries, None for a free state."""
     leaves = {state.name: state for state in states}
     values: dict[str, Array | None] = {n: getattr(e, what) if n in declared else None for n, e in leaves.items()}
     if stated_end is not None and not isinstance(stated_end, Mapping):
@@ -216,7 +218,7 @@ def end_values(
 
 @dataclasses.dataclass(frozen=True)
 class Ends:
-    """Values of the states at both ends, NaN where an entry is free, None where all are."""
+    """Values of the states at both ends: NaN for free entries, None for a free state."""
 
     initial: Mapping[str, Array | None]
     final: Mapping[str, Array | None]
@@ -235,10 +237,10 @@ class Ends:
 def ends_of(
     states: Sequence[State], initial: Any, final: Any, declared: tuple[Collection[str], Collection[str]] = ((), ())
 ) -> Ends:
-    """Both ends, checked.
+    """The checked values of the states at both ends.
 
     Args:
-        declared: at each end, the names of the states whose declared values count.
+        declared: for each end, the names of the states whose declared initial or final values are used.
     """
     first = end_values(states, "initial", initial, declared[0])
     last = end_values(states, "final", final, declared[1])
@@ -249,8 +251,8 @@ def ends_of(
 def fixed_entries(state: State, value: Array | None) -> Array:
     """(dimension,) which entries of a state's tangent are fixed by an end value.
 
-    A part of an element may be free, for what moves another part leaves it as it is: a turn x Exp([0; w]) keeps the
-    position of a pose and a shift x Exp([v; 0]) its attitude.
+    A part of an element may be free if motions of the other part do not change it: a rotation x Exp([0; w]) preserves
+    the position of a pose, and a translation x Exp([v; 0]) preserves its attitude.
     """
     if value is None:
         return np.zeros(state.group.dimension, bool)

@@ -13,7 +13,7 @@ from ...errors import ModelError, ShapeError
 from ...expr import Control, State
 from ...system import name_of
 
-#: What the name of a rate has in front of that of its control.
+#: The prefix of the name of a control's rate.
 _RATE_OF = "rate of "
 
 
@@ -26,13 +26,14 @@ class Held:
 class Spline:
     """A control that is a polynomial in time over each interval, continuous with all derivatives but the last.
 
-    Its values and derivatives at nodes are unknowns; the last derivative is constant over each interval. Where the
-    optimal control is smooth, the error of the optimum is of order 2 (degree + 1) in the interval, if the transcription
-    is of that order. Bounds are imposed at the ends of substeps; `solve(between=...)` enforces them in between, too.
+    Its values and derivatives at nodes are unknowns; the last derivative is constant over each interval. If the optimal
+    control is smooth and the order of the transcription is high enough, the error of the optimum is of order 2 (degree
+    + 1) in the interval length. Bounds are imposed at the ends of substeps; `solve(between=...)` also enforces them
+    between these points.
 
     Args:
         degree: of the polynomials, 2 or more; `Linear` is degree 1, `Held` degree 0.
-        rate: the largest magnitude of its rate, in its unit per s: a number or an array of its shape; None for no
+        rate: the largest magnitude of its rate, in its unit per s: a number or an array of its shape. None means no
             limit.
 
     Raises:
@@ -67,12 +68,12 @@ class Spline:
 class Linear(Spline):
     """A control that is continuous, and linear in time over each interval (a first-order hold).
 
-    Its values at nodes are unknowns; bounds hold at both ends of each interval, and so in between. Where the optimal
-    control is smooth the error of the optimum is of fourth order in the interval, and of second order with piecewise
-    constant controls.
+    Its values at the nodes are unknowns. Bounds hold at both ends of each interval, and therefore in between. If the
+    optimal control is smooth, the error of the optimum is of order 4 in the interval length; with piecewise constant
+    controls it is of order 2.
 
     Args:
-        rate: the largest magnitude of its rate, in its unit per s: a number or an array of its shape; None for no
+        rate: the largest magnitude of its rate, in its unit per s: a number or an array of its shape. None means no
             limit.
 
     Raises:
@@ -85,8 +86,8 @@ class Linear(Spline):
 def Rate(control: Any) -> Control:
     """The rate of a continuous control, in its unit per s, for running costs and for constraints of the system.
 
-    `running=u**2 + 0.1 * tx.trajectory.Rate(u)**2`, `constraints={"slew": tx.trajectory.Rate(u) <= 3.0}`. For a
-    `Spline` there are higher derivatives, `Rate(Rate(u))`.
+    `running=u**2 + 0.1 * tx.trajectory.Rate(u)**2`, `constraints={"slew": tx.trajectory.Rate(u) <= 3.0}`. A `Spline`
+    also has higher derivatives, `Rate(Rate(u))`.
 
     Raises:
         ModelError: the argument is not a control.
@@ -102,7 +103,9 @@ def rate_name(name: str) -> str:
 
 
 def rates_among(controls: Sequence[Control]) -> dict[str, tuple[str, int]]:
-    """Name of a rate among controls -> the name of the control whose rate it is, and how often it is taken."""
+    """Name of a rate among controls -> the name of the control that is differentiated, and the
+    order of the derivative.
+    """
     known, rates = {leaf.name for leaf in controls}, {}
     for name in known:
         inner, order = name, 0
@@ -119,10 +122,12 @@ def is_rate(leaf: Any, controls: Sequence[Control]) -> bool:
 
 
 def continuous_controls(interpolations: Any, controls: Sequence[Control]) -> dict[str, Spline]:
-    """Which controls are continuous, from `controls=`: one way for all, or a dict by control or name.
+    """The interpolation of each continuous control, from `controls=`: one for all controls, or a dict by control or
+    name.
 
     Raises:
-        ModelError: an unknown control, another way than Held, Linear or Spline, or a rate that a control does not have.
+        ModelError: an unknown control; an interpolation other than Held, Linear or Spline; the rate of a control
+            without one.
     """
     known = {leaf.name: leaf for leaf in controls}
     rates = rates_among(controls)
@@ -142,11 +147,12 @@ def continuous_controls(interpolations: Any, controls: Sequence[Control]) -> dic
     for rate, (name, order) in rates.items():
         if name not in splines:
             raise ModelError(
-                f"the system reads the {rate}, which is held.\n  fix: controls={{{name!r}: tx.trajectory.Linear()}}"
+                f"the system reads the {rate}, but the control is piecewise constant (held).\n"
+                f"  fix: controls={{{name!r}: tx.trajectory.Linear()}}"
             )
         if order > splines[name].degree:
             raise ModelError(
-                f"the system reads the {rate}, of a control of degree {splines[name].degree}.\n"
+                f"the system reads the {rate}, which a spline of degree {splines[name].degree} does not have.\n"
                 f"  fix: controls={{{name!r}: tx.trajectory.Spline({order})}}"
             )
     return splines

@@ -12,7 +12,7 @@ from ...expr import Expr, Inputs, Leaf, State, to_expr
 
 
 class Functional(Leaf):
-    """A functional of a whole path. It stands for an unknown of the problem in which it occurs.
+    """A functional of a whole path: a leaf that represents an unknown of the problem.
 
     Attributes:
         operand: the expression along the path.
@@ -27,7 +27,7 @@ class Functional(Leaf):
         except ModelError as error:
             raise ModelError(f"{type(self).__name__} expects an expression: {error}") from None
         if expr.boolean:
-            raise ModelError(f"{type(self).__name__} expects numbers, got the condition {expr!r}")
+            raise ModelError(f"{type(self).__name__} expects a numerical expression, got the condition {expr!r}")
         text = repr(expr)
         self._declare(f"{self.label}({text[1:-1] if expr.infix else text})", self._shape_of(expr), operand=expr)
 
@@ -53,8 +53,8 @@ class Functional(Leaf):
 class Integral(Functional):
     """The integral over time of an expression of states, controls, parameters and time, from the start of the path.
 
-    In `final=` and in the objective it runs over the whole path, in `at=` up to the node; in a phase it runs over the
-    phase. Shape: that of the operand; unit: the operand's times s.
+    In `final=` and in the objective, it extends over the whole path; in `at=`, up to the node; in a phase, over that
+    phase. Shape: that of the operand. Unit: the operand's times s.
 
     Raises: ModelError if the operand is a condition.
     """
@@ -87,7 +87,7 @@ class Maximum(Extreme):
     """The largest value of an expression of states, controls, parameters and time along the path, over all entries.
 
     It is an upper bound s with $operand <= s$ at all points where path constraints are imposed. So minimise it, or
-    bound it from above in `final=`; otherwise s is only an upper bound. Shape ().
+    bound it from above in `final=`; otherwise s may exceed the largest value. Shape: ().
 
     Raises: ModelError if the operand is a condition.
     """
@@ -97,9 +97,9 @@ class Maximum(Extreme):
 
 
 class Minimum(Extreme):
-    """The smallest value of an expression along the path; see `Maximum`. Shape ().
+    """The smallest value of an expression along the path; see `Maximum`. Shape: ().
 
-    Maximise it, or bound it from below.
+    Maximise it, or bound it from below: otherwise the unknown may be less than the smallest value.
 
     Raises: ModelError if the operand is a condition.
     """
@@ -111,7 +111,8 @@ class Minimum(Extreme):
 class Initial(Functional):
     """The value of a state at the start of the path: `final=[x == tx.trajectory.Initial(x)]` makes a path periodic.
 
-    In problems of phases it is the start of the first phase, which must have the state. Shape: that of the state.
+    In a problem of several phases, it is the value at the start of the first phase, which must have this state. Shape:
+    that of the state.
 
     Raises: ModelError if the argument is not a state.
     """

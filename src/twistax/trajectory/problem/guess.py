@@ -23,7 +23,7 @@ from ...system import name_of
 def user_guess(
     guess: Mapping[Any, Any] | None, leaves: Mapping[str, State | Control], lengths: Mapping[str, int]
 ) -> dict[str, Array]:
-    """Checked guesses by name: one value, or one for each node (states) or interval (controls)."""
+    """Checked guesses by name: one value for all nodes (states) or intervals (controls), or one for each."""
     guesses = {}
     if guess is not None and not isinstance(guess, Mapping):
         raise ModelError(f"guess must be a dict from names to values, got {type(guess).__name__}")
@@ -49,12 +49,15 @@ def state_guess(
     shares: Array,
     end_values: tuple[Array | None, Array | None] = (None, None),
 ) -> Array:
-    """Values of a state at nodes, given as fractions of the final time; fixed ends are put in place.
+    """Values of a state at nodes, which are fractions of the final time. Fixed initial and final values replace the
+    guess.
 
-    Without a guess the state goes from its initial to its final value along a geodesic, or stays where one is known.
+    Without a guess, the state follows a geodesic from its initial to its final value; if only one is known, it is
+    constant.
 
     Args:
-        end_values: what conditions say of the state at both ends, for where neither a guess nor an end does.
+        end_values: the values that conditions prescribe at both ends, used if neither the guess nor the end fixes a
+            value.
     """
     source = guess if guess is not None else leaf.guess
     if source is None:
@@ -74,7 +77,9 @@ def state_guess(
 
 
 def control_guess(leaf: Control, guess: Array | None, intervals: int) -> Array:
-    """Values of a control in all intervals: the guess, or else the middle of its box, or its point nearest zero."""
+    """Values of a control in all intervals: the guess; else the middle of its limits, or the admissible value nearest
+    to zero.
+    """
     source = guess if guess is not None else leaf.guess
     if source is None:
         source = _middle(leaf.min, leaf.max, np.zeros(leaf.shape))
@@ -84,10 +89,10 @@ def control_guess(leaf: Control, guess: Array | None, intervals: int) -> Array:
 
 
 def resample(group: Group, samples: Array, shares: Array) -> Array:
-    """A curve through samples (k, *shape) at equal distances, evaluated at shares of its length by geodesic
+    """A curve through equally spaced samples (k, *shape), evaluated at fractions of its length by geodesic
     interpolation.
 
-    As many samples as shares are what is read.
+    If there are as many samples as fractions, the samples themselves are returned.
     """
     if len(samples) in (1, len(shares)):
         return np.array(np.broadcast_to(samples, (len(shares), *samples.shape[1:])))
@@ -107,7 +112,7 @@ def resample(group: Group, samples: Array, shares: Array) -> Array:
 
 
 def _geodesic(group: Group, share: jax.Array, first: jax.Array, last: jax.Array) -> jax.Array:
-    """The point at a share of the geodesic between two elements."""
+    """The point at a fraction of the geodesic between two elements."""
     a, b = first.reshape(group.shape), last.reshape(group.shape)
     return group.retract(a, share[0] * group.difference(a, b)).reshape(-1)
 
@@ -117,12 +122,12 @@ def _known(values: Array | None, otherwise: Any) -> Any:
 
 
 def with_stated(values: Array | None, end_values: Array | None) -> Array | None:
-    """Values whose free entries are filled with those that conditions prescribe."""
+    """Values whose free entries are replaced by the values that conditions prescribe."""
     return values if end_values is None else _known(values, end_values)
 
 
 def _middle(low: Array | None, high: Array | None, otherwise: Any) -> Any:
-    """The middle of a box; where it is open, the point of it nearest to another value."""
+    """The middle of an interval of limits; without two limits, the admissible point nearest to another value."""
     low = np.full(otherwise.shape, -np.inf) if low is None else low
     high = np.full(otherwise.shape, np.inf) if high is None else high
     closed = np.isfinite(low) & np.isfinite(high)

@@ -1,4 +1,4 @@
-"""Links between phases: the initial states of a phase as expressions of the end of the phase before."""
+"""Links between phases: the initial states of a phase as expressions of the end of the previous phase."""
 
 from __future__ import annotations
 
@@ -13,20 +13,22 @@ from ..transcription.joined import Join, Joined, drop_repeated_rows
 from .stated_phase import StatedPhase
 from .statement import check_leaves
 
-#: State of the next phase -> what it begins as, in terms of the last states; None where that is free.
+#: State of the next phase -> its initial value as an expression of the last states; None for a free state.
 Sources = dict[str, Expr | None]
 
 
 def links_of(parts: Sequence[StatedPhase], names: Sequence[str], links: Any) -> list[Sources]:
-    """The sources of the states of every phase but the first.
+    """The links of all phases but the first, checked.
 
     Raises:
-        ModelError: no list of as many dicts as there are joins, or unknown states.
-        ShapeError: an expression of another shape than its state.
+        ModelError: not a list with one dict for each transition; unknown states.
+        ShapeError: an expression whose shape is not that of its state.
     """
     count = len(parts) - 1
     if links is not None and (not isinstance(links, (list, tuple)) or len(links) != count):
-        raise ModelError(f"links expects a list of {count}, one for each join of two phases, got {short(links)}")
+        raise ModelError(
+            f"links expects a list of length {count}, one entry for each transition between phases, got {short(links)}"
+        )
     pairs = zip(parts, parts[1:], names[1:], links or [None] * count)
     return [_sources(f"links[{k}]", *pair) for k, pair in enumerate(pairs)]
 

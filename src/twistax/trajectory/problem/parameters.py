@@ -1,4 +1,4 @@
-"""The values of the parameters of a problem, checked."""
+"""Parameter values of a problem, with checks."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def parameters_of(parts: Sequence[StatedPhase], names: Sequence[str], params: Co
     """The parameters of all phases by name.
 
     Raises:
-        ModelError: one with two values, unless `params` has one for it.
+        ModelError: a parameter has different values in two phases, and `params` has none.
     """
     leaves: dict[str, Parameter] = {}
     for part, phase in zip(parts, names):
@@ -28,7 +28,7 @@ def parameters_of(parts: Sequence[StatedPhase], names: Sequence[str], params: Co
             known = leaves.setdefault(name, leaf)
             if name not in params and not _is_same(known.value, leaf.value):
                 raise ModelError(
-                    f"the parameter {name!r} has another value in {phase!r} than in a phase before.\n"
+                    f"the parameter {name!r} has different values in {phase!r} and in an earlier phase.\n"
                     f"  fix: pass params={{{name!r}: ...}}, or give it another name"
                 )
     return leaves
@@ -45,16 +45,17 @@ def parameter_values(
     by_nodes: Sequence[ByNode],
     params: Mapping[str, Any],
 ) -> dict[str, Array]:
-    """Values of all parameters: those in `params`, else their own; of a free one without any the middle of its box.
+    """Values of all parameters: those in `params`, else the declared values. A free parameter without a value starts at
+    the middle of its limits.
 
     Args:
         read: names of those that the problem reads.
-        boxes: of the free ones.
-        by_nodes: of the phases.
+        boxes: limits of the free parameters.
+        by_nodes: the `ByNode` of each phase.
 
     Raises:
-        InputError: an unknown name; no value of what is read; numbers that are not finite.
-        ShapeError: another shape.
+        InputError: an unknown name; a parameter that is read and has no value; values that are not finite.
+        ShapeError: a value of another shape.
     """
     for name in params:
         if name not in leaves:

@@ -23,12 +23,12 @@ class Phase:
 
     Args:
         dynamics: a compiled system.
-        objective: the contribution of the phase to the objective: at its end, where `tx.Time()` is the time since the
-            beginning of the first phase, and along it. None adds nothing.
+        objective: the contribution of the phase to the objective. The final cost is evaluated at the end of the phase,
+            where `tx.Time()` is the time since the start of the first phase. None means no contribution.
         nodes: number of state nodes, or their positions, as for a `Problem`.
         final_time: the duration of the phase, a number in s, or limits (low, high) to leave it free.
-        initial, final, at: as for a `Problem`. After the first phase, values in `initial` replace the link of these
-            states.
+        initial, final, at: as for a `Problem`. For a phase after the first, values in `initial` replace the links of
+            these states.
         by_node, controls, guess, final_time_guess, transcription, method, substeps, hessian: as for a `Problem`.
         name: its name in results and messages; "phase 0", "phase 1", ... by default.
     """
@@ -64,11 +64,13 @@ def initials_of(phase: Phase) -> list[Initial]:
 
 
 def check_phases(phases: Sequence[Any], arguments: Mapping[str, Any]) -> None:
-    """Raise ModelError unless all are phases, and no argument of a phase is given beside them."""
+    """Raise ModelError unless all are phases, and no argument of a phase is passed to `Problem` as well."""
     strangers = [phase for phase in phases if not isinstance(phase, Phase)]
     if strangers or not phases:
         got = short(strangers[0]) if strangers else "none"
-        raise ModelError(f"Problem expects a compiled system, or a list of tx.trajectory.Phase(...), got {got}")
+        raise ModelError(
+            f"Problem expects a compiled system as its first argument, or a list of tx.trajectory.Phase(...), got {got}"
+        )
     defaults = {
         field.name: None if field.default is dataclasses.MISSING else field.default
         for field in dataclasses.fields(Phase)
@@ -76,17 +78,17 @@ def check_phases(phases: Sequence[Any], arguments: Mapping[str, Any]) -> None:
     names = {name for name, value in arguments.items() if value is not defaults[name]}
     if too_many := sorted(names - {"dynamics", "objective"}):
         raise ModelError(
-            f"Problem of phases expects links, params and free alone, got {listed(too_many)}.\n"
-            "  fix: give it to each tx.trajectory.Phase"
+            f"Problem of several phases accepts links, params and free only, got {listed(too_many)}.\n"
+            "  fix: pass it to each tx.trajectory.Phase"
         )
 
 
 def kind_of(phases: Sequence[Phase]) -> type[Objective]:
-    """`Minimize` or `Maximize`, whichever the phases have."""
+    """The kind of objective of all phases, `Minimize` or `Maximize`."""
     kinds = {type(phase.objective) for phase in phases if phase.objective is not None}
     if not kinds or len(kinds) > 1 or not all(issubclass(kind, Objective) for kind in kinds):
         raise ModelError(
-            "phases expect tx.Minimize(...) in one of them at least and tx.Maximize(...) in none, or the other way "
-            f"round, got {listed(sorted(kind.__name__ for kind in kinds))}"
+            "the objectives of all phases must be of one kind, tx.Minimize(...) or tx.Maximize(...), and "
+            "at least one phase needs one; got {listed(sorted(kind.__name__ for kind in kinds))}"
         )
     return kinds.pop()

@@ -1,4 +1,4 @@
-"""An optimal-control problem on compiled systems: stated once, compiled once, solved as often as one likes."""
+"""An optimal-control problem on compiled systems. It is transcribed and compiled once, and may be solved many times."""
 
 from __future__ import annotations
 
@@ -41,9 +41,9 @@ from .start import Started, started
 from .stated_phase import StatedPhase
 from .statement import Objective
 
-#: Threads that solve one problem make its first solver once: that decides which rows there are.
+#: Threads that solve the same problem build its first solver once, because that determines the redundant rows.
 _MAKING = threading.RLock()
-#: What else has arguments that users give to `solve`.
+#: Other methods with the arguments of `solve`.
 _ELSEWHERE = {"tx.trajectory.Problem": lambda: Problem.__init__}
 
 
@@ -61,34 +61,33 @@ class Problem:
             arguments. States of the same name and kind then continue from phase to phase, time continues, objectives
             are added, and parameters of the same name are the same in all phases.
         objective: `tx.Minimize(...)` or `tx.Maximize(...)`.
-        links: of phases, for every transition, one fewer than phases, a dict from states of the next phase to
-            expressions of the last states of the previous phase and of parameters, or None to leave a state free; None
-            for a transition without changes.
+        links: for problems of several phases, a list with one entry for each transition: a dict from states of the next
+            phase to expressions of parameters and of the last states of the previous phase, or None for a transition
+            without changes. The value None in a dict leaves a state free.
         nodes: number of state nodes, two or more, at equal distances; or their positions, as an increasing sequence of
             fractions of the final time from 0 to 1; or a `tx.trajectory.Mesh`, whose intervals may be free.
         final_time: a number in s, or limits (low, high) to leave it free.
         initial, final: values by state or name, which override those of leaves, or constraints on the first or last
-            node such as `g[:3, 3] == 0`, or a list of both. NaN or None entries of values are free; of a pose the whole
-            position or the whole attitude may be free.
+            node such as `g[:3, 3] == 0`, or a list of both. Entries that are NaN or None are free; of a pose, only the
+            whole position or the whole attitude can be free.
         at: constraints at inner nodes by the number of the node, 1 to nodes - 2, each one or a list.
-        params: values of the parameters by leaf or name, including those of the objective; the default is their value.
-        free: parameters, by leaf or name, that are unknowns, each with limits (low, high), numbers or arrays
-            of its shape; None or an infinity is no limit. A list of parameters has no limits.
-        by_node: a list of parameters of the objective, references and weights, whose values in `params` have a row for
-            each node, or one for all. They are linear in time between nodes; the final cost uses the last row.
-        controls: the interpolation of controls between nodes, `tx.trajectory.Held()` (the default),
-            `tx.trajectory.Linear()` or `tx.trajectory.Spline(degree)`, for all of them, or a dict by leaf or name.
-        guess: values by leaf or name, which override those of leaves: one, or one for each node (states, continuous
-            controls) or interval (piecewise constant controls). The default for a free parameter is its value, or the
-            nearest point within its limits.
+        params: values of parameters by leaf or name, also those of the objective; by default the declared values.
+        free: parameters that are unknowns, by leaf or name, each with limits (low, high): numbers or arrays of its
+            shape. None or an infinite value means no limit. A list of parameters means no limits.
+        by_node: a list of parameters of the objective (references and weights) whose values in `params` have a row for
+            each node, or one row for all. They are linear in time between nodes; the final cost uses the last row.
+        controls: the interpolation of controls between nodes: `tx.trajectory.Held()` (the default),
+            `tx.trajectory.Linear()` or `tx.trajectory.Spline(degree)`, for all controls, or a dict by leaf or name.
+        guess: values by leaf or name, in place of the declared guesses: one value for all nodes or intervals, or one
+            for each node (states, continuous controls) or interval (piecewise constant controls). The default for a
+            free parameter is its value, or the nearest point within its limits.
         final_time_guess: the guess of a free final time; by default the middle of its limits, or their geometric mean
             where the upper one is more than a hundred times the lower.
         transcription: the integration of an interval, in exponential coordinates about its first node:
             `tx.trajectory.MultipleShooting(method, substeps)` or `tx.trajectory.Collocation(tableau)`.
-        method, substeps: those of multiple shooting in place of `transcription`: an RKMK method with an explicit
-            tableau, RK4 by default, and the number of its steps in an interval, 2 by default.
-        hessian: second derivatives other than exact ones: `tx.trajectory.GaussNewton()` or
-            `tx.trajectory.QuasiNewton()`.
+        method, substeps: the arguments of multiple shooting, as an alternative to `transcription`: an RKMK method with
+            an explicit tableau, RK4 by default, and the number of steps in an interval, 2 by default.
+        hessian: approximate second derivatives: `tx.trajectory.GaussNewton()` or `tx.trajectory.QuasiNewton()`.
     Raises:
         ModelError: unknown names or invalid values; for phases all messages begin with the name of the phase.
         ShapeError: a wrong shape.
@@ -122,24 +121,25 @@ class Problem:
         hessian: Any = None,
     ) -> None:
         arguments = {name: value for name, value in locals().items() if name != "self"}
-        #: What it was stated with: `Problem(**problem.stated)` is the same problem.
+        #: The arguments of the statement: `Problem(**problem.stated)` is the same problem.
         self.stated = arguments
         of_phase = {field.name: arguments[field.name] for field in dataclasses.fields(Phase) if field.name in arguments}
-        #: Whether it was stated without a list of phases: names then have no phase in front.
+        #: Whether the problem was stated without a list of phases: then names have no prefix of a phase.
         self.alone = not isinstance(dynamics, (list, tuple))
         if self.alone:
             self.phases = [Phase(**of_phase)]
             if links is not None:
-                raise ModelError("links joins phases; a problem of one phase has none")
+                raise ModelError("links connects phases; a problem of one phase has no links")
             if not isinstance(objective, Objective):
                 need_compiled("Problem", dynamics)
                 raise ModelError(
-                    f"Problem expects tx.Minimize(...) or tx.Maximize(...) as objective, got {type(objective).__name__}"
+                    "Problem expects tx.Minimize(...) or tx.Maximize(...) as its objective, got "
+                    f"{type(objective).__name__}"
                 )
         else:
             self.phases, links = list(dynamics), objective if links is None else links
             check_phases(self.phases, of_phase)
-        #: Whether it stands in for a problem whose explicit steps are unstable.
+        #: Whether it replaces a problem whose explicit steps are unstable.
         self.stands_in = False
         self.names: list[str] = []
         for index, phase in enumerate(self.phases):
@@ -169,7 +169,7 @@ class Problem:
         exprs = [e for sources in self.sources for e in sources.values() if e is not None]
         read = {leaf.name: leaf for leaf in leaves_of(*exprs) if isinstance(leaf, Parameter)}
         read |= {leaf.name: leaf for part in self.parts for leaf in part.readable}
-        #: All parameters by name, and the names of those that the problem reads.
+        #: All parameters by name, and the names of the parameters that the problem reads.
         self.leaves = {**read, **parameters_of(self.parts, self.names, params)}
         self._read = set(read)
         baked = {name for part in self.parts for name in part.baked} - set(self.leaves)
@@ -190,7 +190,7 @@ class Problem:
         return values
 
     def _build(self) -> None:
-        """Transcribe the phases; solvers are made when first needed."""
+        """Transcribe the phases; solvers are made at the first solve."""
         for number, (part, name) in enumerate(zip(self.parts, self.names)):
             with self.errors_of(name):
                 part.transcribe(number, self.border)
@@ -203,7 +203,7 @@ class Problem:
         self._implicit: Problem | None = None
 
     def errors_of(self, name: str) -> contextlib.AbstractContextManager[None]:
-        """A context in which messages of errors begin with the name of the phase."""
+        """A context in which error messages begin with the name of the phase."""
         return contextlib.nullcontext() if self.alone else in_phase(name)
 
     def __repr__(self) -> str:
@@ -212,7 +212,7 @@ class Problem:
         return f"Problem({', '.join(f'{name}: {part!r}' for name, part in zip(self.names, self.parts))})"
 
     def __getattr__(self, name: str) -> Any:
-        """An attribute of the phase, if there is only one: nodes, mesh, dynamics, objective, hessian and others."""
+        """An attribute of the phase if there is only one, such as nodes, mesh, dynamics, objective and hessian."""
         parts = self.__dict__.get("parts", ())
         if name.startswith("_") or len(parts) != 1:
             raise AttributeError(f"a problem of {len(parts)} phases has no attribute {name!r}")
@@ -229,20 +229,20 @@ class Problem:
     # ---- the same problem otherwise ---------------------------------------------------------------------------------
 
     def with_phases(self, changes: Sequence[Mapping[str, Any]]) -> Problem:
-        """The same problem with other arguments of its phases."""
+        """The same problem with some arguments of its phases replaced."""
         if self.alone:
             return Problem(**{**self.stated, **changes[0]})
         phases = [dataclasses.replace(phase, **other) for phase, other in zip(self.phases, changes, strict=True)]
         return Problem(**self.stated | {"dynamics": phases})
 
     def on(self, meshes: Sequence[Remeshed]) -> Problem:
-        """The same problem on other meshes, one for each phase, without a guess."""
+        """The same problem without its guess on other meshes, one for each phase."""
         triples = zip(self.phases, self.parts, meshes, strict=True)
         return self.with_phases([{"by_node": part.by_node} | mesh.stated(phase.at) for phase, part, mesh in triples])
 
     @property
     def implicit(self) -> Problem:
-        """The same problem with implicit steps."""
+        """The same problem with an implicit transcription."""
         if self._implicit is None:
             other = {"transcription": IMPLICIT, "method": None, "substeps": None}
             self._implicit = self.with_phases([other] * len(self.parts))
@@ -288,33 +288,34 @@ class Problem:
     ) -> TrajectoryResult:
         """Optimise from one guess or from several, and return the best result.
 
-        The first call compiles, later calls do not. A problem that differs from an earlier one only in numbers or nodes
-        does not recompile either: numbers in expressions are arguments of the compiled functions. A change of
-        structure recompiles: a zero, a factor of one, an exponent or a table. Threads may share a problem.
+        The first call compiles, later calls do not. A problem that differs from an earlier one only in numbers or in
+        the number of nodes does not recompile either: numbers in expressions are arguments of the compiled functions. A
+        change of structure recompiles: for example a coefficient that becomes zero or one, another exponent, or another
+        table. Several threads may solve the same problem.
 
         If explicit steps are unstable and the solve finds no optimum, the problem is solved by collocation with Radau
-        IIA of order 5, and the message states it; `result.problem` is the problem that was solved. Use a warm start
-        from such a result for that problem.
+        IIA of order 5, and the message states this. `result.problem` is the problem that was solved: use it for a warm
+        start from such a result.
 
         For a problem of phases the result is a `PhasedResult`. Then guess, initial, final, final_time and
         final_time_guess are dicts from names of phases to the values described here; omitted phases keep
         their values.
 
         Args:
-            guess: values by leaf or name that replace parts of the problem's guess.
-            warm: start from a result, or from its `shifted(...)`, in place of a guess: with its multipliers and scales,
-                and with a barrier parameter that fits its violation of the present problem.
-            initial, final: values by state or name in place of those of the problem. The same entries must be fixed.
+            guess: values by leaf or name, in place of those of the problem's guess.
+            warm: a result, or its `shifted(...)`, as the start in place of a guess. Its multipliers and scales are used
+                too, with a barrier parameter that fits its violation of the present problem.
+            initial, final: values by state or name in place of those of the problem. They must fix the same entries.
             params: values of parameters, by leaf or name, in place of those of the problem.
-            free: other limits of free parameters, by leaf or name; the same sides must be open.
+            free: other limits of free parameters, by leaf or name. A side without a limit must remain without one.
             final_time: a number if the problem has a number, limits if it has limits.
             final_time_guess: the guess of a free final time.
-            guesses: the number of tries. The first starts from the guess or from `warm`, the others from perturbed
-                guesses.
-            seed: perturb the guess of every try; equal seeds give equal tries. Standard deviations are 0.4 of the scale
-                for free tangents of states, final times and parameters, and 0.15 for controls, but at most a sixth of
-                the distance of limits. They are halved until the defects of the dynamics are at most thirty times their
-                scale, and thirty times the defects of the guess.
+            guesses: the number of tries. The first starts from the guess or from `warm`, the others start from random
+                perturbations of the guess.
+            seed: also perturb the guess of the first try; equal seeds give equal tries. The standard deviation is 0.4
+                of the scale for free tangents of states, final times and parameters, and 0.15 of the scale for
+                controls, but at most a sixth of the distance between limits. Perturbations are halved until the defects
+                of the dynamics are at most thirty times their scale, and at most thirty times the defects of the guess.
             callback: called with (iteration, cost, violation) before each iteration. If it returns True the solve ends
                 with status STOPPED, and the result is the iterate with the smallest error. `IPOPT` and `Fatrop` ignore
                 the return value.
@@ -322,26 +323,26 @@ class Problem:
                 the cost. By default lines appear after two seconds, on a terminal, unless there is a callback.
             max_iterations: the most iterations of a try.
             max_seconds: wall time after which the solve ends with status OUT_OF_TIME and the iterate of the smallest
-                error; the mesh check follows. `IPOPT` and `Fatrop` have their own limit.
-            tolerance: of the scaled first-order conditions.
+                error; its mesh is checked afterwards. `IPOPT` and `Fatrop` have their own argument for it.
+            tolerance: tolerance of the scaled first-order conditions.
             solver: another solver, `tx.trajectory.IPOPT()` or `tx.trajectory.Fatrop()`; by default the interior-point
                 method of this package.
-            between: the largest violation of path constraints along a dense rollout, in their scales, such as 1e-6.
-                Where it is exceeded the constraints are tightened, and the problem is solved again with a warm start.
+            between: the largest permitted violation of path constraints along a dense rollout, in their scales, such as
+                1e-6. If it is exceeded, constraints are tightened, and the problem is solved again by a warm start.
             mesh_tolerance: the largest mesh error for status SOLVED; above it the status is COARSE. The mesh error is
-                the distance between the end of an interval, integrated accurately from its first node, and the next
-                node, in
-                scales of the states, and the relative error of the objective: see `result.accuracy`. An
-                infinite tolerance accepts any mesh.
+                the larger of two errors: the distance between the end of an interval, integrated accurately from its
+                first node, and the next node, in scales of the states; and the relative error of the objective. See
+                `result.accuracy`. An infinite tolerance accepts any mesh.
             refine: refine the mesh until its error, as above, and the relative change of the objective between meshes
-                are at most this, such as 1e-6. The result is that of the last mesh, `result.problem`; `result.meshes`
-                has all of them. The status is COARSE where a thousand nodes are not enough.
-            strategies: additional strategies besides the interior-point method, members of `Strategy`; an empty tuple
-                uses the method alone. Other solvers have their own strategies.
+                are at most this, such as 1e-6. The result is that of the last mesh, on `result.problem`;
+                `result.meshes` lists all meshes. The status is COARSE if a thousand nodes do not suffice.
+            strategies: the strategies in addition to one run of the interior-point method, members of `Strategy`;
+                an empty tuple means the method alone. Other solvers have their own strategies.
         Raises:
             ModelError, ShapeError, InputError: an invalid guess, end or parameter.
-            TrajectoryError: other fixed entries, invalid times or numbers; limits of a parameter that is not
-                free, or on other sides; a warm start of another problem, or together with a guess.
+            TrajectoryError: initial or final values that fix other entries; invalid times or numbers; limits of a
+                parameter that is not free, or on other sides; a warm start from another problem, or together with a
+                guess.
         """
         arguments = {name: value for name, value in locals().items() if name != "self"}
         return solved(self, SolveOptions(**arguments))
@@ -362,30 +363,30 @@ class Problem:
     ) -> TrajectoryResults:
         """Solve many cases in one call, each as `solve` does; the failure of one case does not affect the others.
 
-        Arguments are those of `solve`. Values with an additional leading axis are one for each case; the others are
-        shared. A guess with an axis of cases has one of nodes or intervals too. Cases run in parallel on all
-        processors.
+        Arguments are those of `solve`. A value with an additional leading axis has one entry for each case; other
+        values are shared by all cases. A guess with an axis of cases must also have an axis of nodes or intervals.
+        Cases run in parallel on all processors.
 
         Raises:
             ShapeError: arguments for different numbers of cases.
             TrajectoryError: no argument has an axis of cases.
-            TwistaxError: as `solve` does, where all cases are invalid. A single invalid case has status REFUSED, and
-                its message begins with its number.
+            TwistaxError: as `solve` does, where all cases are invalid. If only some cases are invalid, each of them has
+                status REFUSED, and its message begins with its number.
         """
         arguments = {"guess": guess, "initial": initial, "final": final, "params": params, "final_time": final_time}
         options = SolveOptions(max_iterations=max_iterations, tolerance=tolerance, mesh_tolerance=mesh_tolerance)
         return solved_many(self, arguments | {"free": free}, options)
 
     def controller(self, warm: Any = None, **options: Any) -> Controller:
-        """A controller for this problem, which solves it from measured states; `Controller` has the options."""
+        """A model-predictive controller for this problem; see `Controller` for the options."""
         return Controller(self, warm, **options)
 
     def to_c(self, directory: Any, *, name: str = "controller", warm: Any = None, **options: Any) -> Any:
-        """A controller for this problem as C99; see `Controller.to_c`, and `Controller` for the options."""
+        """Write a controller for this problem as C99; see `Controller` for the options, and `Controller.to_c`."""
         return self.controller(warm, **options).to_c(directory, name=name)
 
     def core(self, tolerance: float, point: Iterate, instance: Instance) -> CoreSolver:
-        """The solver of this thread. Kernels compile once; the solver's memory serves one solve at a time."""
+        """The solver for the current thread. Kernels compile once. The solver's memory serves one solve at a time."""
         key = (tolerance, threading.get_ident(), 0)
         while key in self._cores and self._cores[key].busy:
             key = (*key[:2], key[2] + 1)

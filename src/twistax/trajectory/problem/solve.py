@@ -1,4 +1,4 @@
-"""The steps of `Problem.solve`: one solve or many, from guesses or from a warm start."""
+"""The steps of `Problem.solve`: one solve or several, from guesses or from a warm start."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ from ..transcription.iterate import Instance, Iterate
 from .cases import Cases, started_cases
 from .start import axes
 
-#: The solver's tolerance over that of a refinement.
+#: The ratio of the solver's tolerance to that of a mesh refinement.
 CLOSER = 0.1
-#: Arguments of a solve that say where it starts.
+#: Arguments of a solve that define its start.
 _STARTS = ("guess", "final_time_guess", "seed")
 
 
@@ -49,7 +49,7 @@ class SolveOptions:
     """The arguments of `Problem.solve`.
 
     Raises:
-        TrajectoryError: numbers without meaning, or a warm start beside a guess.
+        TrajectoryError: invalid numbers, or a warm start together with a guess.
     """
 
     guess: Any = None
@@ -78,7 +78,7 @@ class SolveOptions:
         whole("guesses", self.guesses, 1, error)
         known = [name for name in _STARTS if getattr(self, name) is not None]
         if self.warm is not None and known:
-            raise error(f"solve: warm is a start already; leave out {', '.join(known)}")
+            raise error(f"solve: warm replaces a guess; leave out {', '.join(known)}")
         whole("max_iterations", self.max_iterations, 1, error)
         number("tolerance", self.tolerance, "above zero and below 0.1", lambda size: 0.0 < size < 0.1, error)
         number("mesh_tolerance", self.mesh_tolerance, "above zero", lambda size: size > 0.0, error)
@@ -102,7 +102,10 @@ class SolveOptions:
         if self.max_seconds is not None:
             number("max_seconds", self.max_seconds, "above zero", lambda size: size > 0.0, error)
             if self.solver is not None:
-                raise error(f"max_seconds: give it to the solver, {type(self.solver).__name__}(max_seconds=...)")
+                raise error(
+                    "solve: max_seconds is an argument of the solver here.\n"
+                    f"  fix: {type(self.solver).__name__}(max_seconds=...)"
+                )
 
     @property
     def needed(self) -> float:
@@ -116,7 +119,7 @@ class SolveOptions:
         return {name: getattr(self, name) for name in names}
 
     def again(self, **changed: Any) -> dict[str, Any]:
-        """The arguments of another solve of the same problem, from another start and on one mesh."""
+        """The arguments of another solve of the same problem on one mesh, from another start."""
         left_out = ("warm", "guesses", "between", "refine", *_STARTS)
         fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         kept = {name: value for name, value in fields.items() if name not in left_out}
@@ -131,7 +134,7 @@ def solved(problem: Any, options: SolveOptions) -> Any:
         )
     line = options.progress
     if not isinstance(line, Progress):
-        # A callback shows what its user wants to see.
+        # A callback replaces the printed line.
         line = Progress(shown=False if line is None and options.callback is not None else line)
     with line:
         options = dataclasses.replace(options, progress=line)
@@ -189,7 +192,7 @@ def _on_one_mesh(
         outcomes: list[Outcome] = []
 
         def run(start: Iterate | WarmStart, instance: Instance) -> Outcome:
-            core.busy = True  # what a callback solves or looks at has another solver
+            core.busy = True  # what a callback solves or evaluates uses another solver
             try:
                 if options.solver is None:
                     budget.used = 0
@@ -218,7 +221,7 @@ def _on_one_mesh(
 
 
 def _is_by_implicit_steps(problem: Any, options: SolveOptions) -> bool:
-    """Whether the warm start is of the problem by implicit steps, which stood in for one as this is."""
+    """Whether the warm start belongs to the implicit problem that replaced this one."""
     if options.warm is None or Strategy.IMPLICIT_STEPS not in options.strategies or problem.stands_in:
         return False
     return getattr(warm_start(options.warm).problem, "stands_in", False)
@@ -227,7 +230,9 @@ def _is_by_implicit_steps(problem: Any, options: SolveOptions) -> bool:
 def _by_implicit_steps(
     problem: Any, result: Any, start: Iterate, instance: Instance, again: dict[str, Any]
 ) -> tuple[Any, str]:
-    """The result, or a better one with implicit steps if explicit steps are unstable; and a remark for its message."""
+    """The result, or a better one with implicit steps if explicit steps are unstable; with a
+    sentence for its message.
+    """
     at_once = result.status is Status.INFEASIBLE and result.iterations <= 1
     if result.status in AT_OPTIMUM or at_once or result.iterations >= again["max_iterations"]:
         return result, ""

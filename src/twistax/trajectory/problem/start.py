@@ -1,4 +1,4 @@
-"""The start and the data of a solve, from its arguments."""
+"""The start and the data of a solve, from the arguments of `Problem.solve`."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ def started(
     """The start and the data of a solve with these arguments, as NumPy arrays in double precision.
 
     Args:
-        begin: where it starts, in place of guesses.
-        sizes: of the controls of each phase, by name, for bounds of what is zero at the start.
+        begin: the start of the solve, in place of guesses.
+        sizes: typical sizes of the controls of each phase, by name, for the bounds of norms that are zero at the start.
     """
     arguments = {"guess": guess, "initial": initial, "final": final}
     arguments |= {"final_time": final_time, "final_time_guess": final_time_guess}
@@ -85,7 +85,7 @@ def _by_phase(problem: Any, what: str, value: Any) -> list[Any]:
 
 
 def axes(problem: Any) -> dict[str, Any]:
-    """The number of axes of each argument of `started`, in dicts as the arguments are."""
+    """The number of axes of each argument of `started`, in dicts of the arguments' structure."""
     params = {name: value.ndim for name, value in problem.params.items()}
     if problem.alone:
         axes = problem.parts[0].axes()
@@ -104,7 +104,9 @@ def _start(
     limits: Array,
     sizes: Sequence[Mapping[str, Array]],
 ) -> Any:
-    """The guesses of all phases. States without a guess go between the values that are known at ends of phases."""
+    """The guesses of all phases. States without a guess are interpolated between the values that are known at the ends
+    of phases.
+    """
     if problem.alone:
         return problem.parts[0].start(guesses[0], ends[0], params, durations, limits, sizes[0])
     guess = {name: value for phase_guess in guesses for name, value in phase_guess.items()}
@@ -125,7 +127,7 @@ def _start(
 
 
 def _between(problem: Any, index: int, ends: Sequence[Ends], durations: Array) -> dict[str, Array]:
-    """Values at both ends of a phase for states that continue across phases, between known values."""
+    """Values at both ends of a phase for states that continue across phases, interpolated between known values."""
     between, times = {}, np.concatenate([[0.0], np.cumsum(durations)])
     for state in problem.parts[index].dynamics.states:
         if state.guess is not None:
@@ -153,13 +155,13 @@ def _between(problem: Any, index: int, ends: Sequence[Ends], durations: Array) -
 
 
 def _goes_on(problem: Any, join: int, state: State) -> bool:
-    """Whether a state is continuous at a join."""
+    """Whether a state is continuous at a transition between phases."""
     source = problem.sources[join].get(state.name)
     return isinstance(source, State) and source.key() == state.key()
 
 
 def _with_stated(ends: Ends, end_values: tuple[dict[str, Array], dict[str, Array]]) -> Ends:
-    """Ends whose free entries have the values that conditions prescribe."""
+    """End values whose free entries are replaced by the values that conditions prescribe."""
     initial, final = (
         {name: with_stated(value, values.get(name)) for name, value in side.items()}
         for side, values in zip((ends.initial, ends.final), end_values)

@@ -1,4 +1,4 @@
-"""A phase of a problem in the form that the transcription takes."""
+"""A phase of a problem in the form that the transcription reads."""
 
 from __future__ import annotations
 
@@ -34,24 +34,24 @@ from .statement import Objective, check_leaves, check_limits, describe_path
 
 
 class StatedPhase:
-    """A phase whose bridges have been applied: no functionals, soft constraints or continuous controls are left.
+    """A phase after all bridges: it has no functionals, soft constraints or continuous controls.
 
     Args:
         phase: as stated.
-        objective: what it adds to the objective.
-        within: what it knows of its problem.
+        objective: its contribution to the objective.
+        within: the properties of the whole problem that the bridges need.
 
     Attributes:
-        phase: as stated.
-        dynamics, objective: with what the bridges added.
+        phase: the phase as stated.
+        dynamics, objective: with the variables that the bridges added.
         bridges: in the order in which they are applied.
-        path: the rows along the path.
+        path: the path constraints.
         shooting: its transcription.
         border: the unknowns that all phases share.
-        number: which phase it is.
-        bounds: parameters that the bridges added.
-        parameters: those of the system and those that only the problem reads, by name.
-        readable: those of them that the problem reads.
+        number: the index of the phase.
+        bounds: the parameters that the bridges added, with their limits.
+        parameters: the parameters of the system and those that only the problem reads, by name.
+        readable: the parameters that the problem reads.
     """
 
     path: Any
@@ -73,7 +73,8 @@ class StatedPhase:
         for place, expr in (("the objective", self.objective.final), ("the running cost", self.objective.running)):
             if expr is not None:
                 check_leaves(dynamics, place, expr, controls=expr is self.objective.running)
-        # What users' states declare are the ends of the whole path; those of states from bridges are of the phase.
+        # Initial and final values that users declare belong to the ends of the whole path; those of states from bridges
+        # belong to the phase.
         inner_ends = {s.name for s in dynamics.states} - {s.name for s in phase.dynamics.states}
         all_states = {s.name for s in dynamics.states}
         declared = (all_states if within.first else inner_ends, all_states if within.last else inner_ends)
@@ -94,7 +95,8 @@ class StatedPhase:
         simplest = self.path_bounds.statement
         self.dynamics, self.objective, self.rows = simplest.dynamics, simplest.objective, simplest.rows
         last = self.nodes - 1
-        #: The conditions at nodes by number, the first of them last and before those of the last node.
+        #: The conditions at nodes by index: those of the first node are second to last, those of the last node are
+        #: last.
         stated_at = {k: place_of(k, last) for k in sorted(self.rows, key=lambda k: (k == last, k == 0, k))}
         self.conditions = {
             k: conditions(self.dynamics, place, self.rows[k])
@@ -103,7 +105,7 @@ class StatedPhase:
         }
 
     def _read_parameters(self) -> None:
-        """Which parameters there are, and which of them the problem reads."""
+        """Find the parameters, and the parameters that the problem reads."""
         at_nodes = [row for rows in self.conditions.values() for row in rows.residuals]
         priced = [e for e in (self.objective.final, self.path_bounds.running) if e is not None]
         running = [] if self.objective.running is None else [self.objective.running]
@@ -122,7 +124,7 @@ class StatedPhase:
         self._check_by_node = functools.partial(self.by_node.check, priced, elsewhere, of_system)
 
     def transcribe(self, number: int, border: Border) -> None:
-        """Transcribe the phase with these durations and free parameters of its problem."""
+        """Transcribe the phase with the durations and free parameters of its problem."""
         self.number, self.border = number, border
         free = {box.name for box in border.boxes}
         self._check_by_node(free)
@@ -157,7 +159,7 @@ class StatedPhase:
 
     @property
     def bounded(self) -> bool:
-        """Whether bridges introduced bounds of norms, or extremes, whose start depends on sizes of controls."""
+        """Whether bridges introduced bounds of norms, or extremes, whose initial values depend on sizes of controls."""
         functionals, continuous = self.functionals, self.continuous
         return bool(self.path_bounds.controls or functionals.bounds or functionals.extremes or continuous.bounds)
 
@@ -181,31 +183,31 @@ class StatedPhase:
 
     @property
     def order(self) -> int:
-        """The order of the derivatives that are compiled."""
+        """The order of the derivatives that are compiled: 1 or 2."""
         return 2 if self.hessian is None else 1
 
     def check_weights(self, params: Mapping[str, Array]) -> None:
-        """Raise InputError where parameters make the weight of a soft constraint negative."""
+        """Raise InputError if parameter values make the weight of a soft constraint negative."""
         at_nodes = {name: slack.soft for name, slack in self.node_slacks.slacks.items()}
         check_weights({**self.path_bounds.soft, **at_nodes}, params)
 
     def shown_rows(self, ts: Array, xs: Mapping[str, Any], us: Mapping[str, Any], params: Mapping[str, Any]) -> Array:
-        """(points, rows) the path rows as users wrote them, at many points."""
+        """(points, rows) the path constraints as users wrote them, at many points."""
         local = self.shooting.local
         return local.along(local.expressions.shown, ts, xs, us, params)
 
     def path_rows(self, ts: Array, xs: Mapping[str, Any], us: Mapping[str, Any], params: Mapping[str, Any]) -> Array:
-        """(points, rows) the path rows as the solver sees them, at many points."""
+        """(points, rows) the path constraints in the solver's form, at many points."""
         local = self.shooting.local
         return local.along(local.expressions.rows, ts, xs, us, params)
 
     # ---- what a solve starts from -----------------------------------------------------------------------------------
 
     def at_ends(self, xs: Any, ends: Ends) -> dict[str, Array]:
-        """States at the nodes with what ends fix in place.
+        """States at the nodes in which fixed initial and final entries have their values.
 
         Raises:
-            TrajectoryError: they are those of another problem.
+            TrajectoryError: the states belong to another problem.
         """
         shapes = {s.name: (self.nodes, *s.shape) for s in self.dynamics.states}
         if not isinstance(xs, dict) or {name: np.shape(a) for name, a in xs.items()} != shapes:
@@ -216,7 +218,7 @@ class StatedPhase:
         }
 
     def other_ends(self, initial: Mapping[Any, Any] | None, final: Mapping[Any, Any] | None) -> Ends:
-        """The ends with other values; the same entries have to be fixed."""
+        """The initial and final values with other numbers; the fixed entries must be the same."""
         if initial is None and final is None:
             return self.ends
         sides: list[Any] = []
@@ -241,7 +243,7 @@ class StatedPhase:
         return ends
 
     def other_times(self, limits: Any, guess: Any) -> tuple[tuple[float, float], float]:
-        """Other limits of the final time, and its initial guess."""
+        """Other limits of the final time, with its initial guess."""
         if limits is None and guess is None:
             return self.time_limits, self.time_guess
         times = times_of(self.time_limits if limits is None else limits, guess)
@@ -252,7 +254,7 @@ class StatedPhase:
         return times
 
     def checked_guess(self, guess: Mapping[Any, Any] | None) -> dict[str, Array]:
-        """A guess by name, in addition to that of the statement."""
+        """Checked guesses by name, which replace those of the statement."""
         return self.own_guess | user_guess(guess, self._guessed, self._lengths)
 
     @property
@@ -260,7 +262,7 @@ class StatedPhase:
         return self._leaves | {box.name: box for box in self.border.boxes}
 
     def axes(self) -> dict[str, Any]:
-        """How many axes each argument of a solve has; a guess of states or controls may have one more."""
+        """The number of axes of each argument of a solve; a guess of states or controls may have one more."""
         leaves = {name: len(leaf.shape) for name, leaf in self._leaves.items()}
         longer = {name: count + 1 for name, count in leaves.items()}
         times = int(self.time_limits[0] < self.time_limits[1])
@@ -282,9 +284,10 @@ class StatedPhase:
         limits: Array,
         sizes: Mapping[str, Array] = {},
     ) -> Iterate:
-        """The point that guesses give, with these durations, within limits of the border.
+        """The start from guesses with these durations, projected onto the limits of durations and free parameters.
 
-        Bounds of norms and of magnitudes, and extremes, fit controls; those that are zero count with their sizes.
+        Bounds of norms and magnitudes, and extremes, start at the values for these controls; controls that are zero are
+        replaced by their typical sizes.
         """
         first, last = self.stated_values(params)
         path = Path(self.shooting.times(durations), {}, {}, params, sizes)
@@ -302,7 +305,7 @@ class StatedPhase:
         return Iterate(path.xs, np.concatenate([*flat, *self.path_bounds.columns(path, self)], axis=1), border)
 
     def shown_along(self, path: Path) -> Array:
-        """(intervals, rows) the path rows as users wrote them, at the nodes before the last."""
+        """(intervals, rows) the path constraints as users wrote them, at all nodes but the last."""
         us = path.us | {c.name: np.zeros((self.nodes - 1, *c.shape)) for c in self.path_bounds.controls}
         xs = {name: values[:-1] for name, values in path.xs.items()}
         return np.asarray(self.shown_rows(path.ts[:-1], xs, us, dict(path.params)))
@@ -310,21 +313,21 @@ class StatedPhase:
     # ---- between a trajectory as stated and as solved ----------------------------------------------------------------
 
     def seen(self, xs: Mapping[str, Any], us: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-        """States and controls of the statement, from those of the transcription."""
+        """States and controls of the original problem, from those of the transcription."""
         states, controls = dict(xs), dict(us)
         for bridge in reversed(self.bridges):
             states, controls = bridge.back(states, controls)
         return states, controls
 
     def lifted(self, ts: Array, xs: Mapping[str, Array], us: Mapping[str, Array], params: Mapping[str, Array]) -> Path:
-        """States and held controls of the transcription, from those of the statement."""
+        """States and piecewise constant controls of the transcription, from those of the original problem."""
         path = Path(ts, dict(xs), dict(us), params)
         for bridge in self.bridges:
             bridge.forward(path)
         return path
 
     def filled(self, values: Mapping[str, Array | None]) -> dict[str, Array]:
-        """Values of the states; free entries are zero, or those of the identity."""
+        """Values of the states; free entries are zero, or those of the identity of a group."""
         filled = {}
         for state in self.dynamics.states:
             value = values[state.name]

@@ -1,4 +1,4 @@
-"""The statement of a problem: its objective, and the rows of its path constraints."""
+"""The objective and the path constraints of a problem."""
 
 from __future__ import annotations
 
@@ -53,19 +53,19 @@ class Objective:
     def __init__(self, final: Any = None, *, running: Any = None) -> None:
         kind = type(self).__name__
         if final is None and running is None:
-            raise ModelError(f"{kind} needs an expression of the final state, or running=..., or both")
+            raise ModelError(f"{kind} expects an expression of the final state, running=..., or both")
         for name, value in (("final", final), ("running", running)):
             try:
                 expr = None if value is None else to_expr(value)
             except ModelError as error:
                 raise ModelError(f"{kind} expects an expression: {error}") from None
             if expr is not None and expr.boolean:
-                raise ModelError(f"{kind} expects a number to optimise, got the condition {expr!r}")
+                raise ModelError(f"{kind} expects a numerical expression to optimise, got the condition {expr!r}")
             if expr is not None and expr.shape != ():
                 raise ShapeError(
                     f"{kind} expects a scalar {name} expression, got shape {expr.shape}",
                     at=repr(expr),
-                    hint="index it, or take tx.linalg.Sum or tx.linalg.Norm of it",
+                    hint="index it, or use tx.linalg.Sum or tx.linalg.Norm",
                 )
             object.__setattr__(self, name, expr)
 
@@ -88,7 +88,7 @@ class Maximize(Objective):
 
 
 class Reads(enum.Enum):
-    """What a constraint reads. It decides at which points of an interval the constraint is imposed."""
+    """The kinds of leaves that a constraint reads, which decide at which points of an interval it is imposed."""
 
     NOTHING = "parameters alone: once, at the end"
     CONTROL = "controls alone: once an interval"
@@ -100,7 +100,7 @@ class Reads(enum.Enum):
 
 @dataclasses.dataclass(frozen=True)
 class Bound:
-    """One finite side of a leaf's box: sign * (value[entry] - limit) <= 0."""
+    """One finite limit of an entry of a leaf: sign * (value[entry] - limit) <= 0."""
 
     leaf: str
     entry: int
@@ -116,23 +116,25 @@ class Bound:
 
 @dataclasses.dataclass(frozen=True)
 class PathRows:
-    """The rows along the path: the system's constraints without norms that have no slope, then the leaves' boxes."""
+    """The path constraints: those of the system, with norms in smooth form, followed by the limits of leaves."""
 
     residuals: tuple[Expr, ...]  # <= 0 or = 0
-    names: tuple[str, ...]  # of every row; of a constraint that became two rows, twice
-    cones: frozenset[str]  # names of rows that squares state in place of norms
-    norm_bounds: tuple[tuple[str, float] | None, ...]  # of rows |a|^2 / (c s) <= c s the name of s, and c
+    names: tuple[str, ...]  # one entry for each row; a constraint that became two rows has two entries
+    cones: frozenset[str]  # names of the rows in which squares replace norms
+    norm_bounds: tuple[tuple[str, float] | None, ...]  # for rows |a|^2 / (c s) <= c s: the name of s, and c
     equality: Array  # which rows are equalities
-    reads: tuple[Reads, ...]  # of every row
-    states: tuple[frozenset[str], ...]  # that every row reads
+    reads: tuple[Reads, ...]  # one entry for each row
+    states: tuple[frozenset[str], ...]  # leaves that every row reads
     timed: Array  # which rows read the time
     free: Array  # which rows read a free parameter
     bounds: tuple[Bound, ...]  # the boxes
-    shown: tuple[str, ...]  # the rows as users wrote them: inequalities, equalities, boxes
+    shown: tuple[str, ...]  # the constraints as users wrote them: inequalities, equalities, limits of leaves
     shown_equality: Array
 
     def asked(self, intervals: int, substeps: int) -> Array:
-        """(intervals, substeps + 1, rows) where rows are imposed; states at a node belong to the next interval."""
+        """(intervals, substeps + 1, rows) the points at which each row is imposed; states at a node belong to the next
+        interval.
+        """
         mask = np.ones((intervals, substeps + 1, len(self.names)), bool)
         mask[:, :, [reads is Reads.NOTHING for reads in self.reads]] = False
         mask[:, 1:, [reads is Reads.CONTROL for reads in self.reads]] = False
@@ -143,15 +145,17 @@ class PathRows:
 
     @property
     def of_steps(self) -> frozenset[str]:
-        """Names of rows that are imposed at the ends of intervals alone, with the controls along them."""
+        """Names of the rows that are imposed only at the ends of intervals, together with the
+        controls of the interval.
+        """
         return frozenset(name for name, reads in zip(self.names, self.reads) if reads is Reads.STEP)
 
     def at_nodes(self) -> Array:
-        """(rows,) those that depend on a node alone, not on controls."""
+        """(rows,) the rows that depend only on a node, not on controls."""
         return np.array([reads in (Reads.STATE, Reads.ENDS, Reads.NOTHING) for reads in self.reads], bool)
 
     def determined(self, fixed: Mapping[str, Array], at_known_time: bool) -> Array:
-        """(rows,) those that are constant at an end where these entries of the states are fixed."""
+        """(rows,) the rows that are constant at an end at which these entries of the states are fixed."""
         fixed_states = {name for name, mask in fixed.items() if mask.all()}
         alone = (Reads.STATE, Reads.ENDS, Reads.NOTHING)
         rows = [reads in alone and states <= fixed_states for reads, states in zip(self.reads, self.states)]
@@ -160,9 +164,10 @@ class PathRows:
 
 
 def describe_path(dynamics: Dynamics, norms: Any, free: Collection[str], straight: Collection[str] = ()) -> PathRows:
-    """The rows of a compiled system, of `PathBounds`, and the leaves' boxes; and which read free parameters.
+    """The path constraints of a compiled system and of `PathBounds`, the limits of leaves, and the rows that read free
+    parameters.
 
-    Boxes of states that are linear over each interval hold between its ends.
+    Limits of states that are linear over each interval also hold inside it.
     """
     functions = dynamics.functions
     residuals: list[Expr] = []
@@ -238,7 +243,7 @@ def limited(place: str, residual: Expr, is_equality: bool) -> Array:
     """Which entries of a constraint have a finite limit.
 
     Raises:
-        ModelError: no value can meet it.
+        ModelError: the limit cannot be satisfied.
     """
     numbers = [factor * part.value for factor, part in linear_terms(residual) if isinstance(part, Constant)]
     offset = np.broadcast_to(sum(numbers, np.zeros(())), residual.shape)
@@ -248,7 +253,7 @@ def limited(place: str, residual: Expr, is_equality: bool) -> Array:
 
 
 def without_end(residual: Expr) -> Expr:
-    """The residual of an inequality; -1 where a parameter sets an infinite limit, which makes it void."""
+    """The residual of an inequality; -1 if a parameter sets an infinite limit, so that the constraint has no effect."""
     numbers = [leaf.value for leaf in leaves_of(residual) if isinstance(leaf, Constant)]
     if not any(np.isinf(value).any() for value in numbers):
         return residual
@@ -256,7 +261,7 @@ def without_end(residual: Expr) -> Expr:
 
 
 def bounds_of(leaves: Sequence[State | Control]) -> list[Bound]:
-    """Every finite side of the leaves' boxes."""
+    """All finite limits of leaves."""
     bounds = []
     for leaf in leaves:
         reads = Reads.CONTROL if isinstance(leaf, Control) else Reads.STATE
@@ -269,7 +274,9 @@ def bounds_of(leaves: Sequence[State | Control]) -> list[Bound]:
 
 
 def check_limits(states: Iterable[State]) -> None:
-    """Raise ModelError for a state with equal limits, which leave a barrier no room; controls may have them."""
+    """Raise ModelError for a state with equal limits, which has no interior for a barrier method; controls may have
+    equal limits.
+    """
     for state in states:
         if state.min is None or state.max is None:
             continue
@@ -282,7 +289,7 @@ def check_limits(states: Iterable[State]) -> None:
 
 
 def violations(rows: Array, equality: Array) -> Array:
-    """The violations of rows, zero where they hold."""
+    """The violations of rows; zero for satisfied rows."""
     return np.where(equality, np.abs(rows), np.maximum(rows, 0.0))
 
 
@@ -292,7 +299,7 @@ def largest_by_name(names: Sequence[str], sizes: Array) -> dict[str, float]:
 
 
 class Labels:
-    """The distinct names of rows, in their order, and which of them each row has."""
+    """The distinct names of rows in order of appearance, and the index of each row's name."""
 
     def __init__(self, names: Iterable[str]) -> None:
         numbers: dict[str, int] = {}
@@ -300,7 +307,7 @@ class Labels:
         self.names = list(numbers)
 
     def largest(self, sizes: Array) -> dict[str, float]:
-        """The largest size for each name, not below zero."""
+        """The largest size for each name, at least zero."""
         largest = np.zeros(len(self.names))
         np.fmax.at(largest, self.of_rows, sizes)
         return dict(zip(self.names, largest.tolist()))
@@ -319,12 +326,13 @@ def check_leaves(dynamics: Dynamics, place: str, expr: Expr, *, controls: bool) 
             )
         if is_rate(leaf, dynamics.controls):
             raise ModelError(
-                f"{place} reads the {leaf.name}, which is held.\n  fix: controls= tx.trajectory.Linear() for it"
+                f"{place} reads the {leaf.name}, but the control is piecewise constant (held).\n"
+                f"  fix: controls={{{leaf.name!r}: tx.trajectory.Linear()}}"
             )
         if isinstance(leaf, (State, Control)) and (leaf.name not in known or known[leaf.name].key() != leaf.key()):
             raise ModelError(f"{place} reads {leaf.name!r}, which the system does not have")
         if isinstance(leaf, Parameter) and leaf.name in baked:
             raise ModelError(
-                f"{place} reads the parameter {leaf.name!r}, which was baked into the dynamics.\n"
+                f"{place} reads the parameter {leaf.name!r}, which is a constant of the compiled dynamics (bake=).\n"
                 "  fix: use its value, or do not bake it"
             )

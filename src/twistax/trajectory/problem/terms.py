@@ -1,7 +1,7 @@
-"""Norms as second-order cones: |a| <= b as a.a <= b^2 and b >= 0, which is twice differentiable. Where b is a variable
-of its own, |a|^2 / b <= b, whose multiplier stays finite as b goes to zero.
+"""Norms as second-order cones: |a| <= b becomes a.a <= b^2 and b >= 0, which is twice differentiable. If b is a
+variable, the form |a|^2 / b <= b keeps the multiplier finite as b goes to zero.
 
-Roots of squares are norms, and magnitudes of entries go likewise: |a| <= b as a <= b and -a <= b.
+Roots of squares are treated as norms. For magnitudes of entries, |a| <= b becomes a <= b and -a <= b.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ from ...expr import (
 )
 from ..transcription.point_values import PointValues
 
-#: A coefficient and what it multiplies.
+#: A coefficient and its factor.
 Term = tuple[float, Expr]
 
 
 def without_norms(residual: Expr) -> list[Expr]:
-    """Rows (<= 0 each) that are equivalent to residual <= 0 and smooth, if one norm occurs linearly in it; else the
-    residual itself.
+    """Smooth rows (<= 0 each) that are equivalent to residual <= 0 if the residual has one norm, as a linear term; else
+    the residual itself.
 
-    c |a| + r <= 0 with c > 0 is a.a - b^2 <= 0 and -b <= 0, b = -r / c, or a.a / b - b <= 0 where b is a variable with
-    a limit b >= 0; with c < 0 and a number r, b^2 - a.a <= 0.
-    With magnitudes of entries, c > 0, it is c a + r <= 0 and -c a + r <= 0.
+    c |a| + r <= 0 with c > 0 becomes a.a - b^2 <= 0 and -b <= 0 with b = -r / c, or a.a / b - b <= 0 if b is a variable
+    with the limit b >= 0. With c < 0 and a constant r, it becomes b^2 - a.a <= 0. With magnitudes of entries and c > 0,
+    it becomes c a + r <= 0 and -c a + r <= 0.
     """
     terms = linear_terms(residual)
     sizes = [(factor, part) for factor, part in terms if isinstance(part, Abs)]
@@ -68,12 +68,12 @@ def without_norms(residual: Expr) -> list[Expr]:
 
 
 def bound_rows(s: Control, size: Expr) -> list[Expr]:
-    """Smooth rows, <= 0, that say size <= s where s is not negative."""
+    """Smooth rows (<= 0 each) that are equivalent to size <= s for non-negative s."""
     return [bound_row(size, s)] if is_norm(size) else without_norms((size - s).canonicalize())
 
 
 def _is_never_negative(bound: Expr) -> bool:
-    """Whether it is a positive multiple of a scalar state or control whose lower limit is not negative."""
+    """Whether an expression is a positive multiple of a scalar state or control whose lower limit is not negative."""
     terms = linear_terms(bound)
     return len(terms) == 1 and terms[0][0] > 0.0 and _has_limit_at_zero(terms[0][1])
 
@@ -83,9 +83,10 @@ def _has_limit_at_zero(leaf: Expr) -> bool:
 
 
 def bound_row(size: Expr, s: Expr) -> Expr:
-    """A residual, <= 0 where size <= s, s > 0: |a|^2 / s - s for a norm.
+    """A residual that is <= 0 if and only if size <= s, for s > 0: |a|^2 / s - s for a norm.
 
-    Its multiplier stays finite as s goes to zero. That of a square goes like 1 / s, and steps halve s.
+    Its multiplier stays finite as s goes to zero. The multiplier of |a|^2 - s^2 grows like 1 / s, and Newton steps only
+    halve s.
     Source: H. Y. Benson, R. J. Vanderbei, Solving problems with semidefinite and related constraints using
     interior-point methods for nonlinear programming, Mathematical Programming 95 (2003), section 2.
     """
@@ -93,7 +94,7 @@ def bound_row(size: Expr, s: Expr) -> Expr:
 
 
 def norm_bound(row: Expr) -> tuple[str, float] | None:
-    """The name of the s in a row |a|^2 / (c s) - c s, as `bound_row` makes it, and c; None of any other row."""
+    """The name of s in a row |a|^2 / (c s) - c s from `bound_row`, and c; None for any other row."""
     terms = linear_terms(row)
     if len(terms) != 2:
         return None
@@ -118,7 +119,9 @@ def values_of(sizes: Sequence[Expr], us: Mapping[str, Any], params: Mapping[str,
 def bounds_along(
     bounds: Mapping[str, Expr], us: Mapping[str, np.ndarray], params: Mapping[str, Any]
 ) -> dict[str, np.ndarray]:
-    """Sizes that controls bound, by name, along controls that have a row for each interval or for each node."""
+    """The values of the bounded norms, by the name of the bounding control, along controls with a row for each interval
+    or node.
+    """
     values = {}
     for name, size in bounds.items():
         read = {leaf.name for leaf in leaves_of(size) if isinstance(leaf, Control)}
@@ -127,21 +130,22 @@ def bounds_along(
 
 
 def is_mixed(size: Expr, smooth: Collection[str]) -> bool:
-    """Whether an expression reads both held and continuous controls, so that no bound of it is tight."""
+    """Whether an expression reads both piecewise constant and continuous controls, so that no bound of it is tight."""
     return len({leaf.name in smooth for leaf in leaves_of(size) if isinstance(leaf, Control)}) > 1
 
 
 def above(values: np.ndarray) -> np.ndarray:
-    """Initial values of bounds, slightly above what they bound."""
+    """Initial values of bounds, slightly above the bounded values."""
     bounds: np.ndarray = values + 0.1 * (values.max() or 1.0)
     return bounds
 
 
 def sizes_in(running: Expr | None, sign: float) -> tuple[Expr | None, list[Control], list[Expr]]:
-    """A running cost without its norms and magnitudes of controls alone, which have no slope at zero.
+    """A running cost in which norms and magnitudes of controls, which are not differentiable at zero, are replaced by
+    bounds.
 
-    Returns the cost, a control s in place of each of them, and what it bounds. Held controls make such a size constant
-    over an interval, so its bound s is one number there. At a minimum s = |a|.
+    Returns the cost, a control s for each such norm, and the norm. Piecewise constant controls make such a norm
+    constant over an interval, so its bound s is one number there. At a minimum, s = |a|.
     """
     if running is None:
         return None, [], []
@@ -185,7 +189,7 @@ def sum_of(terms: list[Term]) -> Expr:
 
 
 def is_norm(expr: Expr) -> bool:
-    """Whether it is the Euclidean norm of a vector, as such or as the root of its square."""
+    """Whether it is the Euclidean norm of a vector, or the root of its square."""
     if isinstance(expr, Sqrt) and expr.shape == ():
         (operand,) = expr.children()
         return all(factor > 0.0 and _is_square(part) for factor, part in linear_terms(operand))
@@ -193,7 +197,7 @@ def is_norm(expr: Expr) -> bool:
 
 
 def is_size(expr: Expr) -> bool:
-    """Whether it is a norm, or the magnitude of a number, of controls, whatever parameters scale them."""
+    """Whether it is a norm or a magnitude of controls, possibly scaled by parameters."""
     leaves = list(leaves_of(expr))
     of_controls = all(isinstance(leaf, (Control, Parameter, Constant)) for leaf in leaves)
     of_controls = of_controls and any(isinstance(leaf, Control) for leaf in leaves)
@@ -201,7 +205,7 @@ def is_size(expr: Expr) -> bool:
 
 
 def _is_square(expr: Expr) -> bool:
-    """Whether it is a square as people write it: x**2, x * x, a @ a."""
+    """Whether it is a square in a usual form: x**2, x * x, a @ a."""
     parts = expr.children()
     if isinstance(expr, Power):
         return isinstance(parts[1], Constant) and parts[1].shape == () and float(parts[1].value) == 2.0

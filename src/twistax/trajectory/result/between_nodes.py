@@ -1,8 +1,9 @@
-"""Limits held between the points where they are asked: tightened, interval by interval, by what a rollout exceeds them.
+"""Constraints between the points at which they are imposed: each interval is tightened by the violation along a
+rollout.
 
-A limit g(x(t)) <= 0 is asked at the ends of substeps alone. After a solve its largest value over interval k of a dense
-rollout, e_k, is added to a margin, m_k <- max(0, m_k + e_k), and the problem is solved again, warm, with
-g + m_k <= 0 there. At rest the largest value is zero in each interval where the limit binds.
+A path constraint g(x(t)) <= 0 is imposed only at the ends of substeps. After a solve, let e_k be its largest value over
+interval k of a dense rollout. It updates a margin m_k <- max(0, m_k + e_k), and the problem is solved again from a warm
+start with g + m_k <= 0. At convergence the largest value is zero in each interval where the constraint is active.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ from .trajectory import Trajectory, trajectory_at
 if TYPE_CHECKING:
     from ..problem.stated_phase import StatedPhase
 
-#: Samples of a rollout in an interval, how often margins may change, and by how much more than a limit is exceeded.
+#: Samples of a rollout in an interval, the maximal number of updates of the margins, and the tightening relative to the
+#: violation.
 _SAMPLES, _ROUNDS, _MORE = 40, 12, 1.2
 
 
@@ -41,13 +43,13 @@ def hold_between_nodes(
     between: float,
     staged: Staged,
 ) -> Outcome:
-    """A solved outcome whose limits hold between nodes as well, within `between` of their scales.
+    """A solved outcome whose constraints also hold between nodes, within `between` of their scales.
 
-    Where none is found the last that is SOLVED, with status EXCEEDED.
+    If there is none, the result is the last outcome with status SOLVED, with its status changed to EXCEEDED.
 
     Args:
-        run: solves again.
-        staged: the problem for the core, which rolls out.
+        run: solves the problem again.
+        staged: the problem in the core's form, which performs the rollout.
     """
     data = staged.numbers.vector(instance)
     rollouts = [
@@ -85,13 +87,13 @@ def hold_between_nodes(
 
 
 def _tightened(margins: Array, over: Array) -> Array:
-    """New margins of a phase whose limits were exceeded; neighbouring intervals are tightened, too."""
+    """New margins of a phase whose constraints are violated; neighbouring intervals are tightened, too."""
     over = np.maximum(over, np.maximum(0.0, _beside(over)))
     return np.maximum(0.0, margins + np.where(over > 0.0, _MORE * over, over))
 
 
 def _beside(over: Array) -> Array:
-    """The larger value of both neighbouring intervals."""
+    """The larger of the values of the two neighbouring intervals."""
     closed = np.pad(over, ((1, 1), (0, 0)), constant_values=-np.inf)
     return np.maximum(closed[:-2], closed[2:])
 

@@ -1,4 +1,4 @@
-"""The results of many cases: arrays whose first axis counts the cases."""
+"""The results of many cases, as arrays whose first axis is that of the cases."""
 
 from __future__ import annotations
 
@@ -20,17 +20,18 @@ from .result import TrajectoryResult, best_result
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class TrajectoryResults(Sequence[TrajectoryResult]):
-    """The results of many cases: arrays with a leading axis; an index returns the result of one case.
+    """The results of many cases as arrays with a leading axis of cases; an index returns the result of one case.
 
     Attributes:
-        status: of every case.
+        status: a list with the status of every case.
         final_time, cost, violation, iterations: (cases,).
         params: by name, (cases, ...), including optimal free parameters.
-        optimality: the numbers of an `Optimality` by name, (cases,) each.
+        optimality: the attributes of an `Optimality` by name, each (cases,).
         compile_seconds, solve_seconds: wall time.
-        xs: states by name, (cases, nodes, ...); of phases by the name of the phase, too.
-        us: controls by name, (cases, intervals, ...), linear ones (cases, nodes, ...); of phases likewise.
-        durations: by phase, (cases,).
+        xs: states by name, (cases, nodes, ...); for several phases, dicts by the name of the phase.
+        us: controls by name, (cases, intervals, ...), continuous ones (cases, nodes, ...); for several phases, dicts by
+            the name of the phase.
+        durations: (cases,) by the name of the phase.
     """
 
     problem: Any
@@ -62,7 +63,7 @@ class TrajectoryResults(Sequence[TrajectoryResult]):
         try:
             k = range(len(self))[case]
         except (IndexError, TypeError):
-            raise InputError(f"results have the cases 0 to {len(self) - 1}, got {short(case)}") from None
+            raise InputError(f"the index of a case must be from 0 to {len(self) - 1}, got {short(case)}") from None
         return best_result(self.problem, self._tried[k])
 
     def __iter__(self) -> Iterator[TrajectoryResult]:
@@ -78,7 +79,9 @@ class TrajectoryResults(Sequence[TrajectoryResult]):
 
 
 class PhasedResults(TrajectoryResults):
-    """The results of many cases of phases: `xs[phase][state]` is (cases, nodes, ...); see `TrajectoryResults`."""
+    """The results of many cases of a problem of several phases: `xs[phase][state]` is (cases, nodes, ...); see
+    `TrajectoryResults`.
+    """
 
 
 def many_results(problem: Any, tried: Sequence[Attempts]) -> TrajectoryResults:

@@ -1,4 +1,4 @@
-"""Trajectories as pictures: states and controls over time, with nodes, limits and multipliers; in three dimensions."""
+"""Plots of trajectories over time, with nodes, limits and multipliers; and animations in three dimensions."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ...progress import watching
 if TYPE_CHECKING:
     from ...view import Scene
 
-#: So many multipliers are shown, of the constraints that matter most.
+#: The number of multipliers in a plot, of the constraints with the largest effect on the objective.
 _MOST = 10
 
 
@@ -30,8 +30,8 @@ def drawn(
     title: str = "",
     multipliers: Mapping[str, Array] | None = None,
 ) -> Any:
-    """A figure of one trajectory, or of several that follow each other; see `Trajectory.plot`."""
-    # Of the systems as they were given: linear controls and free node times have made states of their own since.
+    """A figure of one trajectory, or of several consecutive ones; see `Trajectory.plot`."""
+    # The original systems, in which linear controls and free node times have not become states.
     systems = [part.problem.phase.dynamics for part in parts]
     leaves: dict[str, Any] = {e.name: e for system in systems for e in (*system.states, *system.controls)}
     there = [name for name in leaves if any(name in part.xs or name in part.us for part in parts)]
@@ -47,7 +47,7 @@ def drawn(
 
 @watching("show")
 def animated(parts: Sequence[Any], path: Any, choices: Mapping[str, Any]) -> Scene:
-    """The scene of one trajectory, or of several that follow each other; see `Trajectory.show`."""
+    """The scene of one trajectory, or of several consecutive ones; see `Trajectory.show`."""
     from ...view.motion import Motion, joined, shown
 
     motions = [_motion(part) for part in parts]
@@ -61,7 +61,7 @@ def animated(parts: Sequence[Any], path: Any, choices: Mapping[str, Any]) -> Sce
 
 
 def _motion(part: Any) -> tuple[Array, Mapping[str, Array], Mapping[str, Array]]:
-    """Times, states and controls of a dense rollout, or at the nodes where it does not reach its end."""
+    """Times, states and controls of a dense rollout; those of the nodes if the rollout does not reach its end."""
     try:
         rollout = part.dense
     except (IntegrationError, TrajectoryError):
@@ -71,7 +71,7 @@ def _motion(part: Any) -> tuple[Array, Mapping[str, Array], Mapping[str, Array]]
 
 
 def _outputs(part: Any, ts: Array, xs: Mapping[str, Array], us: Mapping[str, Array]) -> Mapping[str, Array]:
-    """The outputs of the system as it was given, along a motion."""
+    """The outputs of the original system along a motion."""
     dynamics = part.problem.phase.dynamics
     params = {leaf.name: part.params[leaf.name] for leaf in dynamics.parameters if leaf.name in part.params}
     with in_double():
@@ -80,7 +80,7 @@ def _outputs(part: Any, ts: Array, xs: Mapping[str, Array], us: Mapping[str, Arr
 
 
 def _panels(parts: Sequence[Any], leaf: State | Control, unit: str, labels: Sequence[tuple[str, str]]) -> list[Panel]:
-    """States: dots at nodes and the line of a rollout. Controls: as they go on from node to node."""
+    """States: dots at nodes, and the line of a rollout. Controls: as interpolated between nodes."""
     marks, curves, is_held = [], [], False
     for part in parts:
         values = part.xs.get(leaf.name, part.us.get(leaf.name))
@@ -103,7 +103,7 @@ def _panels(parts: Sequence[Any], leaf: State | Control, unit: str, labels: Sequ
 
 
 def _limits(leaf: State | Control, panel: Panel) -> list[float]:
-    """The finite bounds of the entries that a panel shows, in its unit."""
+    """The finite bounds of the entries in a panel, in its unit."""
     bounds = set[float]()
     for side in (leaf.min, leaf.max):
         if side is not None:
@@ -113,7 +113,7 @@ def _limits(leaf: State | Control, panel: Panel) -> list[float]:
 
 
 def _rollout(part: Any, name: str) -> list[tuple[Array, Array]]:
-    """A state along a dense rollout of the controls, where it reaches its end."""
+    """A state along a dense rollout of the controls, if that reaches its end."""
     try:
         rollout = part.dense
     except (IntegrationError, TrajectoryError):

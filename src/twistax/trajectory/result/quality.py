@@ -24,15 +24,15 @@ from ..transcription.border import Border
 from ..transcription.shooting import Transcribed
 from .singular import singular
 
-#: A scaled multiplier above this is one of an active constraint.
+#: Constraints with a larger scaled multiplier count as active.
 _ACTIVE = 1e-5
-#: What is said of a solution that is no minimum.
+#: The message for a stationary point that is not a minimum.
 _SADDLE = ", at a saddle: the objective falls to second order from here, and no search beside it found better"
-#: The tolerance of a solver that only looks at solutions.
+#: The tolerance of a solver that only evaluates solutions.
 _LOOKED_AT = 1e-6
-#: How many limits that do not hold between nodes are named.
+#: The number of violations between nodes that a message lists.
 _NAMED = 3
-#: What makes a mesh finer.
+#: Remedies for a coarse mesh.
 _FINER = "solve(refine=1e-4), more nodes or substeps, for stiff rates Collocation(tx.tableaus.RADAU_IIA5)"
 
 
@@ -40,16 +40,15 @@ _FINER = "solve(refine=1e-4), more nodes or substeps, for stiff rates Collocatio
 class Optimality:
     """Residuals of the first-order (KKT) conditions of an optimum, in scaled form.
 
-    The scale of an unknown is its change along the trajectory; that of the objective is its change with these
-    changes.
+    Each unknown is divided by its change along the trajectory, and the objective by its change under these changes.
 
     Attributes:
         stationarity: largest entry of the gradient of the Lagrangian.
         feasibility: largest residual of the dynamics or of a constraint.
         complementarity: largest product of a slack and its multiplier.
         gap: a first-order bound on the error of the objective: the sum of |multiplier times slack or residual|.
-        excess: estimate of the objective minus that of the minimum nearby, relative to the objective: the decrease by a
-            Newton step without a barrier. It does not depend on units. NaN where it is not known.
+        excess: estimate of the objective's difference from the minimum nearby, relative to the objective: the decrease
+            by a Newton step without a barrier. It does not depend on units. NaN if it is not known.
     """
 
     stationarity: float
@@ -61,26 +60,26 @@ class Optimality:
 
 @dataclasses.dataclass(frozen=True)
 class Quality:
-    """How well a result solves its problem. All arrays are NumPy, double precision.
+    """The errors of a result and its multipliers. All arrays are NumPy, double precision.
 
     Attributes:
         final_time: the time at the end, s.
-        params: the values of all parameters, with those of free parameters at the solution.
+        params: the values of all parameters, including the optimal values of free ones.
         cost: the objective as stated (a maximum is not negated).
         violation: the largest violation of a constraint, each measured in its own scale; 0 if all hold.
-        violations: row name -> largest violation at the nodes in the constraint's own unit, all rows of the problem.
+        violations: row name -> largest violation at the nodes, in the constraint's own unit, for all rows of the
+            problem.
         optimality: the residuals of the first-order conditions.
-        multipliers: row name -> multipliers for the minimised objective, in its unit over that of the row, in the order
-            of the row's places; those of a norm belong to its square. "dynamics of <state>" has shape (intervals,
-            dimension).
+        multipliers: row name -> multipliers for the minimised objective, in the objective's unit over that of the row,
+            one for each place of the row, in order; for a norm, they belong to the squared norm. "dynamics of <state>"
+            has shape (intervals, dimension).
         active: names of the active constraints, those with the largest effect on the objective first.
-        accuracy: the integration error, and the limits that are exceeded between nodes; None for a point that is not
-            finite.
+        accuracy: the integration error, and the violations between nodes; None for a point that is not finite.
         status: how the solve ended; `message` explains it in one sentence, and names the worst constraint and its
             place.
-        iterations: iterations of the solver in the try with this result.
+        iterations: iterations of the solver in the try that led to this result.
         tries: (status, cost, violation, iterations) of every try.
-        compile_seconds, solve_seconds: wall time; of `solve(refine=...)` that of all meshes.
+        compile_seconds, solve_seconds: wall time; with `solve(refine=...)` that of all meshes.
         warm: the start for `solve(warm=...)`.
         slacks: (rows,) the slack of every inequality in its own unit, as the solver has it.
         saddle: whether the point is a saddle: the objective decreases to second order within the constraints, and
@@ -143,8 +142,8 @@ class Quality:
             return undetermined(staged, warm, instance, [part.continuous.derivatives for part in problem.parts])
 
     def explain(self) -> str:
-        """A summary as text, one fact on each line: errors, active constraints, undetermined controls, a finer
-        rollout.
+        """A summary as text with one fact per line: errors, active constraints, undetermined
+        controls, a finer rollout.
         """
         return _explained(self, self._undetermined)
 
@@ -154,12 +153,12 @@ class Quality:
         Controls, states and multipliers are shifted. The last control is repeated, and the states are integrated.
 
         Raises:
-            TrajectoryError: steps is not a positive whole number; intervals are not equally long; several phases.
+            TrajectoryError: `steps` is not a positive whole number; interval lengths differ; several phases.
         """
         return self.warm.shifted(steps)
 
     def _need_finite(self) -> None:
-        """Raise TrajectoryError where the solution is not finite: there is no rollout of it."""
+        """Raise TrajectoryError if the solution is not finite, so that it has no rollout."""
         if not np.isfinite(list(self.violations.values())).all():
             raise TrajectoryError(f"a point that is not finite has no rollout. {self.message}")
 
@@ -195,10 +194,10 @@ def _explained(result: Any, undetermined: list[Undetermined]) -> str:
 
 
 def _rolled_out(result: Any) -> list[str]:
-    """The lines on a finer rollout.
+    """The lines of `explain` about a finer rollout.
 
     Raises:
-        TrajectoryError: node times go back.
+        TrajectoryError: node times decrease.
         IntegrationError: the rollout diverges.
     """
     missed = "; ".join(
@@ -213,7 +212,7 @@ def _rolled_out(result: Any) -> list[str]:
 
 
 def _open(every: list[Undetermined], sign: float) -> str:
-    """The undetermined controls, and what would determine them."""
+    """The lines about undetermined controls, and about terms that would determine them."""
     named = ", ".join(f"{entry.name} (in {entry.intervals} of {len(entry.free_share)} intervals)" for entry in every)
     weights = ("+ " if sign > 0.0 else "- ") + (" + " if sign > 0.0 else " - ").join(
         f"{entry.weight:g} * {entry.entry}**2" for entry in every
@@ -225,21 +224,21 @@ def _open(every: list[Undetermined], sign: float) -> str:
 
 
 def _mesh(accuracy: Accuracy, status: Status) -> str:
-    """A sentence on the error of the mesh, and what to do where it is large."""
+    """A sentence on the mesh error, with a remedy if it is large."""
     line = f"largest mesh error, relative to the scales of the states: {accuracy.error:.1e} {accuracy.place}"
-    if status in AT_OPTIMUM and status is not Status.DEGENERATE:  # elsewhere multipliers are worth nothing
+    if status in AT_OPTIMUM and status is not Status.DEGENERATE:  # elsewhere multipliers are meaningless
         line += f"; a mesh without error changes the objective by about {accuracy.change:.2g}"
     return line + (f"; the mesh is too coarse for this path: {_FINER}" if accuracy.coarse else "")
 
 
 @dataclasses.dataclass(frozen=True)
 class Attempts:
-    """How often and how long the solver ran on a problem.
+    """The outcomes of all tries of a solve, with their times.
 
     Attributes:
-        outcomes: of all tries.
-        params: the parameters that they were for.
-        tolerance: of the first-order conditions.
+        outcomes: the outcomes of all tries.
+        params: the parameter values of the solve.
+        tolerance: tolerance of the first-order conditions.
         compile_seconds, solve_seconds: wall time.
     """
 
@@ -251,13 +250,15 @@ class Attempts:
 
     @property
     def best(self) -> Outcome:
-        """The best attempt: a solved one of least cost, else one on the finest mesh, else the one with the least
+        """The best attempt: the solved one of least cost; else one on the finest mesh; else the one with the least
         violation.
         """
 
         def rank(outcome: Outcome) -> tuple[int, float]:
             order = [Status.SOLVED, Status.EXCEEDED, Status.ACCEPTABLE, Status.COARSE, Status.DEGENERATE]
-            if outcome.status is Status.COARSE and outcome.accuracy is not None:  # its cost may be a cheat
+            if (
+                outcome.status is Status.COARSE and outcome.accuracy is not None
+            ):  # its cost may be too low because of mesh errors
                 return order.index(outcome.status), outcome.accuracy.error
             if outcome.status in order:
                 return order.index(outcome.status), outcome.cost
@@ -269,12 +270,13 @@ class Attempts:
     def fields(
         self, problem: Any, params: dict[str, Array], violations: Mapping[str, float], shown: Collection[str]
     ) -> dict[str, Any]:
-        """The fields of a `Quality` of the best try that do not depend on phases.
+        """The attributes of the `Quality` of the best try that do not depend on phases.
 
         Args:
-            params: with those that were found.
+            params: values including those of optimal free parameters.
             violations: by name.
-            shown: names of rows whose violations are those of what users wrote, not of what the solver sees.
+            shown: names of the rows whose violations are those of the constraints as users wrote them, not in the
+                solver's form.
         """
         best, sign = self.best, problem.sign
         point = jax.tree.map(np.asarray, best.point)
@@ -289,7 +291,7 @@ class Attempts:
             if best.accuracy is None
             else dataclasses.replace(best.accuracy, change=sign * best.accuracy.change),
             "status": best.status,
-            # The violation of a soft constraint is none of its row, which has a slack.
+            # The violation of a soft constraint is not that of its row, which has a slack.
             "message": _message(problem.shooting, best, violations, set(shown) - problem.soft, self.tolerance)
             + _singular(problem, best, params),
             "iterations": best.iterations,
@@ -303,12 +305,12 @@ class Attempts:
 
 
 def params_of(border: Border, outcome: Outcome, params: dict[str, Array]) -> dict[str, Array]:
-    """The parameters, those that the solve has chosen among them."""
+    """The parameter values, with those of optimal free parameters."""
     return params | {name: np.asarray(value) for name, value in border.params(np.asarray(outcome.point.border)).items()}
 
 
 def _active(shooting: Transcribed, outcome: Outcome) -> tuple[str, ...]:
-    """The names of constraints with a multiplier that is not zero, the largest first."""
+    """The names of constraints with a nonzero multiplier, the largest first."""
     largest = shooting.labels.largest(np.abs(outcome.scaled_rows))
     return tuple(sorted((name for name, size in largest.items() if size > _ACTIVE), key=lambda n: -largest[n]))
 
@@ -316,7 +318,7 @@ def _active(shooting: Transcribed, outcome: Outcome) -> tuple[str, ...]:
 def _message(
     shooting: Transcribed, outcome: Outcome, sizes: Mapping[str, float], shown: Collection[str], tolerance: float
 ) -> str:
-    """The status, and of a failure the worst constraint and the errors."""
+    """A sentence on the status; for a failure also the worst constraint and the errors."""
     if outcome.status is Status.REFUSED:
         return f"{outcome.status}. {outcome.refusal}"
     worst, count = [], shooting.intervals * shooting.n
@@ -343,7 +345,7 @@ def _message(
 
 
 def _looked_at(outcome: Outcome, tolerance: float) -> list[str]:
-    """Sentences on constraints without slope, a coarse mesh, and limits exceeded between nodes."""
+    """Sentences on rows whose gradient vanishes, a coarse mesh, and violations between nodes."""
     sentences, accuracy = list[str](), outcome.accuracy
     if outcome.flat is not None:
         name, place, size = outcome.flat

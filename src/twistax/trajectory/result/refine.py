@@ -1,12 +1,12 @@
-"""A mesh made finer until it does not matter: intervals are split where they miss, and where controls bend.
+"""Mesh refinement: intervals with a large integration error are split, and those in which controls change most.
 
-After a solve each interval is integrated again from its planned start, by a method of higher order in finer steps. How
-far its end is from the planned one, in scales of the states, is its error. Intervals with too large an error are split,
-and those whose controls change most, as these cost most. Where the objective has come to rest before the errors have,
-substeps are doubled. It ends when all errors are within the tolerance, and the objective moved by less than that since
-the mesh before.
-Of several phases each is marked by itself.
-Source of the marking: Dorfler, SIAM J. Numer. Anal. 33 (1996), here for squared changes of controls.
+After a solve, each interval is integrated again from its planned start, by a method of higher order with smaller steps.
+The distance of its end from the planned one, in scales of the states, is its error. Intervals with too large an error
+are split, and also those whose controls change most, because these contribute most to the error of the objective. If
+the objective converges before the errors do, the number of substeps is doubled. The refinement ends when all errors are
+within the tolerance, and the objective has changed by less than the tolerance since the previous mesh. In a problem of
+several phases, each phase is marked separately.
+Source of the marking: Dorfler, SIAM J. Numer. Anal. 33 (1996), here applied to squared changes of controls.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ from .trajectory import Trajectory, trajectory_at
 if TYPE_CHECKING:
     from ..problem.stated_phase import StatedPhase
 
-#: The most meshes, nodes and substeps; what is split at least of all squared changes of controls, and of all intervals.
+#: The maximal numbers of meshes, nodes and substeps; the minimal fractions of all squared changes of controls, and of
+#: all intervals, that are split.
 _MESHES, _NODES, _SUBSTEPS, _SHARE, _LEAST = 12, 1000, 8, 0.9, 0.5
 
 
@@ -54,10 +55,10 @@ class Meshed:
 
 
 def refined(first: Any, tolerance: float, solve: Callable[..., Any]) -> Any:
-    """The result on meshes that are fine enough, or the last one with status COARSE; its `meshes` tell the history.
+    """The result on sufficiently fine meshes, or the last one with status COARSE; its `meshes` list all meshes.
 
     Args:
-        first: the result on the mesh as stated; the refinement ends with it unless it is SOLVED or COARSE.
+        first: the result on the original mesh; it is returned unless its status is SOLVED or COARSE.
         solve: solves another problem from a warm start.
     """
     result, meshes, change = first, [], np.inf
@@ -85,7 +86,7 @@ def refined(first: Any, tolerance: float, solve: Callable[..., Any]) -> Any:
 
 
 def _unrefined(result: Any, meshes: Sequence[Meshed], tolerance: float, change: float) -> str:
-    """Why a mesh refinement failed, how far it came, and what else may help."""
+    """The message of a failed mesh refinement: the reason, the error that was reached, and a remedy."""
     last, accuracy = meshes[-1], result.accuracy
     limit = f"at most {_MESHES} meshes" if len(meshes) >= _MESHES else f"a finer mesh has more than {_NODES:,} nodes"
     moved = f", and the objective still changes by {change:.1g} of itself" if np.isfinite(change) else ""
@@ -104,12 +105,12 @@ def _trajectories(result: Any) -> list[Trajectory]:
 
 
 def _states(trajectory: Trajectory) -> dict[str, Array]:
-    """All states at the nodes, with those that bridges introduced."""
+    """All states at the nodes, including those that bridges introduced."""
     return trajectory.xs | trajectory.added
 
 
 def _finer(result: Any, errors: Sequence[Array], tolerance: float, is_settled: bool) -> tuple[Any, WarmStart] | None:
-    """The problem on finer meshes with a warm start; None if these would be too large."""
+    """The problem on finer meshes, with a warm start; None if these would be too large."""
     problem, segments = result.problem, result.problem.shooting.segments
     meshes, splits = [], []
     for trajectory, segment, interval_errors in zip(_trajectories(result), segments, errors):
@@ -135,7 +136,8 @@ def _finer(result: Any, errors: Sequence[Array], tolerance: float, is_settled: b
 def _changes(part: StatedPhase, us: Array, ts: Array) -> Array:
     """(intervals,) the squared change of the controls about an interval, in their scales, times its length.
 
-    Of continuous controls a rate is held, their k-th derivative; it counts times the length k times more.
+    For a continuous control, the k-th derivative is piecewise constant; its change is multiplied by the k-th power of
+    the length.
     """
     lengths = np.diff(ts) / (ts[-1] - ts[0])
     changes = np.zeros(len(us))
@@ -150,9 +152,9 @@ def _changes(part: StatedPhase, us: Array, ts: Array) -> Array:
 
 
 def _marked(trajectory: Trajectory, point: Iterate) -> Array:
-    """The smallest set of intervals with a given share of all changes, at least half of all intervals.
+    """The smallest set of intervals that contains a given fraction of all changes, at least half of all intervals.
 
-    None of a phase without controls.
+    The set is empty for a phase without controls.
     """
     changes = _changes(trajectory.problem, np.asarray(point.us), trajectory.ts)
     order, marked = np.argsort(-changes), np.zeros(len(changes), bool)
@@ -164,7 +166,7 @@ def _marked(trajectory: Trajectory, point: Iterate) -> Array:
 
 
 def _start(problem: Any, result: Any, splits: Sequence[Array]) -> WarmStart:
-    """A warm start on finer meshes: halves of an interval have its controls, and half of its multipliers each."""
+    """A warm start on finer meshes: both halves of an interval have its controls, and half of its multipliers each."""
     warm, scales = result.warm, result.warm.scales
     old, new = result.problem.shooting, problem.shooting
     split = np.zeros(old.intervals, bool)
@@ -198,14 +200,14 @@ def _start(problem: Any, result: Any, splits: Sequence[Array]) -> WarmStart:
 
 
 def _costates(dynamics: Array, split: Array) -> Array:
-    """Multipliers of the dynamics on the finer mesh: between two nodes their mean."""
+    """Multipliers of the dynamics on the finer mesh, interpolated between nodes by their mean."""
     at = np.flatnonzero(split)
     before = dynamics[np.maximum(at - 1, 0)]
     return np.insert(dynamics, at, 0.5 * (before + dynamics[at]), axis=0)
 
 
 class _Moved:
-    """Maps numbers of the rows of a phase to its next mesh."""
+    """Maps values for the rows of a phase to its next mesh."""
 
     def __init__(self, old: PhaseSegment, new: PhaseSegment, split: Array) -> None:
         self._old, self._split = old.shooting, split
@@ -214,9 +216,9 @@ class _Moved:
         self._source, self._same = _columns(*layouts, self._old.substeps, new.shooting.substeps)
 
     def of(self, rows: Array, share: float | None = None) -> Array:
-        """Each half of an interval gets a share of what the whole has; where nothing was asked it gets nothing.
+        """Each half of an interval gets a fraction of the interval's value; points without such a row before get zero.
 
-        Without a share each has what the whole has, or what the row before it has.
+        Without a fraction, each gets the value of the interval, or of the row before it.
         """
         inner, end = np.split(rows, [self._old.intervals * self._old.rows_per_interval])
         moved = inner.reshape(self._old.intervals, -1)[self._parent][:, self._source]
@@ -226,7 +228,9 @@ class _Moved:
 
 
 def _columns(old: RowLayout, new: RowLayout, substeps: int, finer: int) -> tuple[Array, Array]:
-    """For each row of an interval on the next mesh the row at its place or before it, and whether it is at it."""
+    """For each row of an interval on the next mesh: the row at its place or before it, and whether that is at its
+    place.
+    """
     points, row = np.divmod(new.path_indices, new.path_rows)
     place = points * substeps / finer
     where = {index: k for k, index in enumerate(old.path_indices)}

@@ -29,14 +29,14 @@ class Replay:
         ts: (n,) times in s, equally spaced within each interval.
         xs: states by name, leading axis n.
         us: controls by name, leading axis n; at a node the control that begins there.
-        misses: state name -> how far the rollout ends from the planned final node: `position` and `angle` (rad) of a
-            pose, `angle` of a rotation, `distance` of a state without a group.
-        vectors: state name -> the same as a tangent vector, planned (+) vector = reached.
-        violations: name of a path constraint or bound -> its largest violation along the rollout in its own unit, 0
-            where it holds; each interval is looked at with its own control, both ends included.
-        integrals: `Integral(...)` -> from the beginning, leading axis n.
-        extremes: `Maximum(...)`, `Minimum(...)` -> that value along the rollout.
-        final: name of a condition at a node -> its violation there, of the rollout.
+        misses: state name -> distance of the end of the rollout from the planned final node: `position` and `angle`
+            (rad) of a pose, `angle` of a rotation, `distance` of a state without a group.
+        vectors: state name -> the same difference as a tangent vector: planned (+) vector = end of the rollout.
+        violations: name of a path constraint or bound -> its largest violation along the rollout in its own unit, 0 if
+            it holds; each interval is evaluated with its own control, both ends included.
+        integrals: `Integral(...)` -> its value from the start until each time, leading axis n.
+        extremes: `Maximum(...)`, `Minimum(...)` -> its value along the rollout.
+        final: name of a condition at a node -> its violation there, along the rollout.
     """
 
     ts: Array
@@ -52,13 +52,14 @@ class Replay:
 
 @watching("replay")
 def replayed(result: Any, method: Any, steps: int, rtol: float, atol: float) -> Replay:
-    """The rollout of a trajectory; see `Trajectory.replay`. Without a method the solver's core rolls out if it can."""
+    """The rollout of a trajectory; see `Trajectory.replay`. By default the solver's core performs it if it can."""
     _need_finite(result)
     back = np.flatnonzero(np.diff(result.ts) < 0.0)
     if back.size:
         raise TrajectoryError(
-            f"node {back[0] + 1} is before node {back[0]}, at {result.ts[back[0] + 1]:g} s, and time must increase.\n"
-            "  fix: solve until the limits of free node times hold"
+            f"replay: the times of nodes must increase, but node {back[0] + 1} at "
+            f"{result.ts[back[0] + 1]:g} s is before node {back[0]}.\n"
+            "  fix: solve until the limits of free node times are satisfied"
         )
     if method is None and result.solve is not None:
         xs = _by_the_core(result, steps)
@@ -71,18 +72,18 @@ def replayed(result: Any, method: Any, steps: int, rtol: float, atol: float) -> 
 
 
 def _need_finite(result: Any) -> None:
-    """Raise TrajectoryError unless all of its states, controls and times are finite: nothing goes on from elsewhere."""
+    """Raise TrajectoryError unless all of its states, controls and times are finite."""
     for name, values in {**result.xs, **result.added, **result.us, "the time": result.ts}.items():
         wrong = np.flatnonzero(~np.isfinite(np.reshape(values, (len(values), -1))).all(axis=1))
         if wrong.size:
             raise TrajectoryError(
-                f"{name!r} is not finite at node {wrong[0]}, so there is no rollout from there.\n"
-                "  fix: limits on states where the rates are defined, or another guess"
+                f"{name!r} is not finite at node {wrong[0]}, so there is no rollout from it.\n"
+                "  fix: limit states to values at which the rates are defined, or use another guess"
             )
 
 
 def rolled_out(result: Any, method: Method, steps: int) -> dict[str, Array]:
-    """The rollout by an integration method: one integration for equal intervals, else one for each interval."""
+    """The rollout by an integration method: one integration if all intervals are equal, else one for each interval."""
     problem = result.problem
     params = {p.name: result.params[p.name] for p in problem.dynamics.parameters if p.name in result.params}
     ts, count, x = times_along(result, steps), problem.nodes - 1, _start(result)
@@ -108,7 +109,7 @@ def rolled_out(result: Any, method: Method, steps: int) -> dict[str, Array]:
 
 
 def _by_the_core(result: Any, steps: int) -> dict[str, Array]:
-    """The rollout by the solver's core, which does not compile again for other numbers."""
+    """The rollout by the solver's core, which does not recompile for other numbers."""
     problem, us, (solved, border) = result.problem, lifted(result).us, result.solve
     columns = [np.reshape(us[name], (problem.nodes - 1, -1)) for name in problem.shooting.local.controls.slices]
     fixed = {name: value for name, value in result.params.items() if name not in problem.border.params(border)}
@@ -171,12 +172,14 @@ def _rollout_ambient(result: Any, solver: Any, steps: int, rtol: float, atol: fl
 
 
 def lifted(result: Any) -> Any:
-    """States and held controls of the system that is integrated; bounds of norms are tight."""
+    """States and piecewise constant controls of the reformulated system, which is integrated; bounds of norms are
+    tight.
+    """
     return result.problem.lifted(result.ts, result.xs | result.added, result.us, result.params)
 
 
 def held_of(result: Any) -> dict[str, Array]:
-    """The held controls of the system that is integrated."""
+    """The piecewise constant controls of the reformulated system, which is integrated."""
     controls = result.problem.dynamics.controls
     lifted_us = lifted(result).us
     return {c.name: lifted_us[c.name] for c in controls}
@@ -213,7 +216,7 @@ def _judged(result: Any, xs: dict[str, Array], steps: int) -> Replay:
 
 
 def _difference(group: Group, a: Array, b: Array) -> Array:
-    """The tangent from one element to another."""
+    """The tangent from one group element to another."""
     return np.ravel(b - a) if group.flat else np.asarray(_curved_difference(group, a, b))
 
 
@@ -231,7 +234,7 @@ def _miss(group: Group, planned: Array, reached: Array, vector: Array) -> dict[s
 
 
 def _shown_along(result: Any, ts: Array, xs: dict[str, Array], steps: int) -> Array:
-    """The path rows as stated, along a rollout."""
+    """The path rows as users wrote them, along a rollout."""
     problem = result.problem
     if not problem.path.shown:
         return np.zeros((1, 0))

@@ -1,4 +1,4 @@
-"""The result of a solve: the trajectories of its phases, and how well they solve the problem."""
+"""The result of a solve: the trajectories of its phases, and their quality."""
 
 from __future__ import annotations
 
@@ -28,8 +28,7 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class TrajectoryResult(Quality):
-    """The result of a solve: the trajectories, and their quality. See `Quality` for its other
-    attributes.
+    """The result of a solve: the trajectories of its phases, and their quality. See `Quality` for its other attributes.
 
     For a problem without a list of phases, `xs`, `us`, `ts`, `controls`, `integrals` and `extremes` are those of its
     only trajectory; see `Trajectory`.
@@ -37,7 +36,7 @@ class TrajectoryResult(Quality):
     Attributes:
         phases: the trajectory of each phase; times continue from phase to phase.
         durations: duration of each phase, s.
-        meshes: of `solve(refine=...)`: a `Meshed` for each mesh.
+        meshes: with `solve(refine=...)`, a list with a `Meshed` for each mesh.
     """
 
     phases: tuple[Trajectory, ...]
@@ -47,17 +46,22 @@ class TrajectoryResult(Quality):
     @property
     def _trajectory(self) -> Trajectory:
         if not self.problem.alone:
-            raise AttributeError("a result of phases has states, controls and times by phase: result.phases[0].xs")
+            raise AttributeError(
+                "the result of a problem of several phases has states, controls and times by phase.\n"
+                "  fix: result.phases[0].xs"
+            )
         return self.phases[0]
 
     @property
     def xs(self) -> dict[str, Array]:
-        """States by name, leading axis the nodes."""
+        """States by name; the leading axis is that of the nodes."""
         return self._trajectory.xs
 
     @property
     def us(self) -> dict[str, Array]:
-        """Controls by name, leading axis the intervals for piecewise constant ones, the nodes for continuous ones."""
+        """Controls by name; the leading axis is that of the intervals for piecewise constant ones, and of the nodes for
+        continuous ones.
+        """
         return self._trajectory.us
 
     @property
@@ -72,13 +76,13 @@ class TrajectoryResult(Quality):
 
     @property
     def integrals(self) -> dict[str, Array]:
-        """`Integral(...)` -> from the beginning until each node."""
+        """`Integral(...)` -> its value from the start until each node."""
         self._need_finite()
         return self._trajectory.integrals
 
     @property
     def extremes(self) -> dict[str, float]:
-        """`Maximum(...)`, `Minimum(...)` -> that value along a dense rollout."""
+        """`Maximum(...)`, `Minimum(...)` -> its value along a dense rollout."""
         self._need_finite()
         return self._trajectory.extremes
 
@@ -101,16 +105,20 @@ class TrajectoryResult(Quality):
         return self._by_phase("mesh_error")
 
     def replay(self, method: Any = None, steps: int = 20, *, rtol: float = 1e-10, atol: float = 1e-10) -> Replay:
-        """As `Trajectory.replay`. Also raises TrajectoryError where values of the problem are not finite there."""
+        """The dense rollout of the controls; see `Trajectory.replay`. Also raises TrajectoryError if values of the
+        problem are not finite.
+        """
         self._need_finite()
         return self._trajectory.replay(method, steps, rtol=rtol, atol=atol)
 
     def plot(self, *names: Any, units: Mapping[str, str] | None = None) -> Any:
-        """As `Trajectory.plot`, with all phases in one figure and the multipliers of active constraints."""
+        """A figure of all phases with the multipliers of active constraints; see `Trajectory.plot`."""
         return drawn(self.phases, names, units, self.message, {name: self.multipliers[name] for name in self.active})
 
     def show(self, path: Any = None, **choices: Any) -> Scene:
-        """As `Trajectory.show`; phases in succession, with the states and controls that all of them have."""
+        """An animation of all phases in succession, with the states and controls that all of them have; see
+        `Trajectory.show`.
+        """
         return animated(self.phases, path, choices)
 
     def video(self, path: Any, *, size: tuple[int, int] = (1280, 720), **choices: Any) -> Path:
@@ -128,12 +136,12 @@ class TrajectoryResult(Quality):
 class PhasedResult(TrajectoryResult):
     """The result of a problem with a list of phases: `phases`, and their `durations` in s.
 
-    `result.phases[0].xs["v"]` has the shape (nodes, ...), as in a `Trajectory`. Names begin with that of the phase. The
-    multipliers of the link before a phase are "join before <phase>: <state>".
+    `result.phases[0].xs["v"]` has the shape (nodes, ...), as in a `Trajectory`. Names of rows begin with the name of
+    the phase. The multipliers of the link before a phase are "join before <phase>: <state>".
     """
 
     def replay(self, method: Any = None, steps: int = 20, **options: Any) -> Any:
-        """The replay of each phase from its own first node, a tuple; see `Trajectory.replay`."""
+        """A tuple with the replay of each phase from its own first node; see `Trajectory.replay`."""
         self._need_finite()
         return tuple(phase.replay(method, steps, **options) for phase in self.phases)
 

@@ -18,15 +18,16 @@ from ..transcription.methods import Collocation
 if TYPE_CHECKING:
     from ..problem.stated_phase import StatedPhase
 
-#: Characters of an expression that are shown.
+#: The number of characters of an expression in a message.
 _SHOWN = 80
 
 
 def singular(problem: StatedPhase, point: Iterate, params: Mapping[str, Any], durations: Any) -> str | None:
-    """What names the first expression without a finite value or slope at the first or last node; a remedy.
+    """The message that names the first expression without a finite value or derivative at the first or last node, with
+    a remedy.
 
-    The first one is that whose operands are finite: 1 / v where v is zero. A node before the last has the control after
-    it, the last one the control before it.
+    The first one is the expression whose operands are finite: 1 / v if v is zero. Nodes before the last are evaluated
+    with the control after them, the last one with the control before it.
     """
     shooting, ts = problem.shooting, problem.shooting.times(np.asarray(durations))
     exprs = shooting.local.expressions
@@ -46,7 +47,7 @@ def singular(problem: StatedPhase, point: Iterate, params: Mapping[str, Any], du
 
 
 def _first(roots: list[Expr], inputs: Inputs) -> tuple[str, Expr] | None:
-    """The first expression that is not finite, whose operands are, and what it is."""
+    """The first expression that is not finite although its operands are, with its value."""
     values: dict[str, jax.Array] = {}
     read = lambda leaf: leaf.read(inputs)  # noqa: E731
     slopes: tuple[str, Expr] | None = None
@@ -73,7 +74,10 @@ def _shown(value: Any) -> str:
 def _remedy(problem: StatedPhase, k: int) -> str:
     if k == 0 and not isinstance(problem.transcription, Collocation):
         return (
-            "A start may be singular by transcription=Collocation(tx.tableaus.RADAU_IIA5), which never evaluates it, "
-            "from a guess that leaves it"
+            "For a singular start use transcription=Collocation(tx.tableaus.RADAU_IIA5), which does not evaluate the "
+            "start, and a guess that moves away from it"
         )
-    return "Guess states and controls after it where it is finite, or ask for a start and an end where it is"
+    return (
+        "Guess states and controls for which it is finite after this node, or choose start and end states where it is "
+        "finite"
+    )

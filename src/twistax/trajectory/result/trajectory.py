@@ -31,15 +31,16 @@ class Trajectory:
     """States and controls of a problem, or of one phase of it. All arrays are NumPy, double precision.
 
     Attributes:
-        xs: states by name, leading axis the nodes.
-        us: controls by name, leading axis the intervals for held ones, the nodes for continuous ones.
+        xs: states by name; the leading axis is that of the nodes.
+        us: controls by name; the leading axis is that of the intervals for piecewise constant ones, of the nodes for
+            continuous ones.
         ts: (nodes,) times in s.
-        final_time: the last of them.
-        params: the parameters it was solved for, and those that were found.
-        added: what `Integral` and `Initial` became, states by name.
-        problem: its phase of the problem.
-        solve: of a problem that was not stated as a list of phases, that and the unknowns that all its stages share;
-            with them the solver's core rolls out.
+        final_time: the last of these times.
+        params: the parameter values of the solve, including optimal free parameters.
+        added: the states that represent each `Integral` and `Initial`, by name.
+        problem: the phase of the problem to which it belongs.
+        solve: for a problem without a list of phases, that problem and its shared unknowns, with which the solver's
+            core performs rollouts.
     """
 
     problem: StatedPhase
@@ -58,52 +59,53 @@ class Trajectory:
 
     @property
     def integrals(self) -> dict[str, Array]:
-        """`Integral(...)` -> from the beginning until each node."""
+        """`Integral(...)` -> its value from the start until each node."""
         reduced, integrals = self.problem.functionals, dict[str, Array]()
         for name in reduced.integrals:
-            # Bounds of norms only bound them: a rollout with the norms themselves has the values.
+            # Bounds of norms may exceed the norms; a rollout with the norms themselves has the exact integrals.
             rollout = self.dense.integrals[name] if name in reduced.loose else self.added[name]
             integrals[name] = rollout[:: (len(rollout) - 1) // (len(self.ts) - 1)]
         return integrals
 
     @functools.cached_property
     def dense(self) -> Replay:
-        """`replay()`, rolled out once."""
+        """The result of `replay()`, computed once."""
         return self.replay()
 
     @property
     def extremes(self) -> dict[str, float]:
-        """`Maximum(...)`, `Minimum(...)` -> that value along a dense rollout."""
+        """`Maximum(...)`, `Minimum(...)` -> its value along a dense rollout."""
         return self.dense.extremes
 
     @property
     def between_nodes(self) -> dict[str, float]:
-        """Name of a path constraint or box -> its largest violation along a dense rollout, in its own unit."""
+        """Name of a path constraint or bound -> its largest violation along a dense rollout, in its own unit."""
         return self.dense.violations
 
     @functools.cached_property
     def mesh_error(self) -> dict[str, dict[str, float]]:
-        """State name -> how far a rollout in ten times as many steps ends from the planned final node."""
+        """State name -> distance between the end of a rollout in ten times as many steps and the planned final node."""
         return self.replay(steps=10 * self.problem.transcription.substeps).misses
 
     def plot(self, *names: Any, units: Mapping[str, str] | None = None) -> Any:
-        """States and controls over time, a matplotlib figure: dots at nodes, lines of a dense rollout, limits dashed.
+        """A matplotlib figure of states and controls over time: dots at nodes, lines of a dense rollout, dashed lines
+        for limits.
 
-        Poses are drawn as positions and Euler angles in deg. Of a result the largest multipliers are shown, too.
+        Poses are drawn as positions and Euler angles in deg. The figure of a result also shows the largest multipliers.
 
         Args:
-            names: of the states and controls to draw; all if left out.
-            units: of values by name, as of `Solution.plot`.
+            names: names of the states and controls to draw; by default all.
+            units: units of the drawn values by name, as in `Solution.plot`.
         Raises:
-            InputError: a name that is not there.
+            InputError: an unknown name.
             ModelError: matplotlib is not installed.
         """
         return drawn([self], names, units)
 
     def show(self, path: Any = None, **choices: Any) -> Scene:
-        """The dense rollout in three dimensions, with the choices of `Solution.show`.
+        """An animation of the dense rollout in three dimensions; the arguments are those of `Solution.show`.
 
-        Where the rollout does not reach its end, the nodes and straight lines between them.
+        If the rollout does not reach its end, the animation shows the nodes, connected by straight lines.
         """
         return animated([self], path, choices)
 
@@ -116,12 +118,13 @@ class Trajectory:
 
         Args:
             method: an RKMK method; or a diffrax solver, which integrates the same system as a plain ODE in quaternions
-                with adaptive steps. RK4 if left out, of collocation by a stiffly accurate tableau its implicit method.
-            steps: samples an interval, and for an RKMK method its steps there.
+                with adaptive steps. The default is RK4, or for collocation by a stiffly accurate tableau the
+                corresponding implicit method.
+            steps: the number of samples in an interval; also the number of steps of an RKMK method.
             rtol, atol: tolerances of a diffrax solver.
         Raises:
-            TrajectoryError: steps is no positive whole number; node times that go back.
-            InputError: method is neither.
+            TrajectoryError: `steps` is not a positive whole number; node times decrease.
+            InputError: `method` is neither an RKMK method nor a diffrax solver.
             IntegrationError: the rollout did not reach its end.
         """
         whole("steps", steps, 1, TrajectoryError)
@@ -130,7 +133,7 @@ class Trajectory:
 
 
 def trajectory_at(problem: StatedPhase, point: Iterate, params: dict[str, Array]) -> dict[str, Any]:
-    """The fields of a `Trajectory` at a point."""
+    """The attributes of a `Trajectory` at a point."""
     controls = problem.shooting.local.controls.split(np.asarray(point.us))
     ts, (xs, us) = times_of(problem, point), problem.seen(point.xs, controls)
     return {

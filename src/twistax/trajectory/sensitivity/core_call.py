@@ -1,8 +1,8 @@
-"""The solve of a problem of one phase as one call of the core, which programs of JAX contain.
+"""The solve of a problem of one phase as one call of the core inside a JAX program.
 
-It starts at the optimum of the problem as it was stated, in the units of that optimum, with the new values in place.
-These values do not change its program: parameters, final states and a fixed final time are numbers that kernels
-read, initial states are bounds.
+It starts at the optimum of the original problem, in the units of that optimum, with the new values inserted. These
+values do not change the program: parameters, final states and a fixed final time are numeric arguments of kernels, and
+initial states are bounds.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from ..transcription.iterate import Instance, Iterate
 
 
 class SolveInputs(NamedTuple):
-    """The inputs of a solve: numbers of kernels, the start, its coordinates, and their bounds."""
+    """The inputs of a solve: numbers for kernels, the start, its coordinates, and their bounds."""
 
     data: Any
     z: Any
@@ -39,8 +39,8 @@ class CoreCall:
     """The solve of a problem as one call of the core.
 
     Args:
-        start: where it starts; the units are those there.
-        instance: parameters, ends and limits of the problem as stated.
+        start: the start of every solve, whose units are used.
+        instance: parameters, initial and final states and limits of the original problem.
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class CoreCall:
     ) -> None:
         self._problem, self._tolerance = problem, core.tolerance
         self.units = units = core.units(start, instance)
-        self._staged = staged = core.staged.alone(instance)  # a copy: solves of the problem do not change it
+        self._staged = staged = core.staged.alone(instance)  # a copy, which later solves of the problem do not change
         numbers = staged.numbers.vector(instance)
         z = staged.flat(start)
         v = staged.coordinates(z)
@@ -62,11 +62,11 @@ class CoreCall:
         )
 
     def need_compiled(self) -> None:
-        """Raise TrajectoryError if a program of XLA would have to call back to Python."""
+        """Raise TrajectoryError if an XLA program would have to call Python."""
         if names := self._staged.transcription.called_back:
             raise TrajectoryError(
                 "solution: under jit and vmap functions of the problem must have a native form. "
-                f"JAX runs the {' and the '.join(names)}, as it does functions with host callbacks.\n"
+                f"JAX executes the {' and the '.join(names)}, as it does functions with host callbacks.\n"
                 "  fix: call it outside of jit and vmap, or state the problem without such functions"
             )
 
@@ -78,14 +78,14 @@ class CoreCall:
         final_time: Any,
         start: Array | None = None,
     ) -> SolveInputs:
-        """What a solve for these values reads; entries that are NaN stay as stated.
+        """The inputs of a solve for these values; NaN entries keep their original values.
 
         Args:
-            start: z of another start.
+            start: the array z of another start.
         """
         staged, phase = self._staged, self._problem.shooting
         data, z, v, lower, upper = map(jnp.asarray, self._base)
-        if start is not None:  # bounds count in coordinates, which are those of this start
+        if start is not None:  # bounds are those of coordinates, which depend on this start
             z, (of_points, of_variables) = jnp.asarray(start), staged.plain
             v = v.at[of_variables].set(z[of_points])
         for values, places in ((params, lambda n: ([n], [])), (final, lambda n: ([], [n]))):
@@ -103,12 +103,12 @@ class CoreCall:
                 at = columns[fixed]
                 lower, upper = lower.at[at].set(v[at]), upper.at[at].set(v[at])
         if final_time is not None:
-            final_time = jnp.where(final_time > 0.0, final_time, jnp.nan)  # as `problem.solve` refuses it
+            final_time = jnp.where(final_time > 0.0, final_time, jnp.nan)  # the error is that of `problem.solve`
             data = data.at[staged.numbers.final_time].set(final_time)
         return SolveInputs(data, z, v, lower, upper)
 
     def judged(self, core: CoreSolver, values: Mapping[str, Any], instance: Instance, mesh_tolerance: float) -> Status:
-        """The status that `problem.solve` gives a result, by the solver of this thread."""
+        """The status of a result as in `problem.solve`, checked by the solver of this thread."""
         numbers = {name: float(values[name]) for name in MEASURES}
         arrays = {name: np.asarray(a) for name, a in values.items() if name not in MEASURES}
         status = CoreStatus(int(numbers.pop("status")))
@@ -120,13 +120,13 @@ class CoreCall:
         return core.judge.judged(outcome, instance, mesh_tolerance, core.tolerance).status
 
     def is_solved(self, values: Mapping[str, Any]) -> Any:
-        """Whether it is, as far as the core knows: it has no rows that ends alone decide."""
+        """Whether it is solved according to the core, which does not have the rows that fixed ends determine."""
         most = jnp.maximum(COST * values["error"], values["violation"])
         is_close = values["excess"] <= self._tolerance * values["worth"]
         return (values["status"] == CoreStatus.SOLVED.value) | ((most <= self._tolerance) & is_close)
 
 
 def _put(array: Any, places: Array, value: Any, is_fixed: Any) -> Any:
-    """The array with values at these places; those of free entries that are NaN are left out."""
+    """The array with new values at these indices; NaN entries of free ends are ignored."""
     flat = jnp.ravel(jnp.asarray(value, float))
     return array.at[places].set(jnp.where(jnp.isnan(flat) & (not is_fixed), array[places], flat))

@@ -1,10 +1,11 @@
-"""A solution as numbers, and how it moves with parameters and ends: the core's factors at it.
+"""A solution, and its derivatives with respect to parameters and end values, by the core's factorisation at the
+solution.
 
-What a problem is solved for joins the unknowns that all stages share, each fixed by its bounds, as a first state is. A
-change of them moves all the others so that the first-order conditions still hold: with K the matrix of the conditions'
-derivatives,
+The arguments of a solve are treated as additional shared unknowns, fixed by bounds like the initial state. Under a
+change of them, all other unknowns change so that the first-order conditions remain satisfied. With the Jacobian K of
+the conditions,
 
-    K_free (dv, dlam, dy, dye) = 0,   dv_fixed = the change of what is fixed.
+    K_free (dv, dlam, dy, dye) = 0, with dv_fixed the change of the arguments.
 
 Source: Fiacco, Introduction to sensitivity and stability analysis in nonlinear programming (1983), theorem 3.2.1.
 """
@@ -37,38 +38,38 @@ from ..transcription.shooting import Shooting
 from ..transcription.vectors import Numbers
 from .core_call import SolveInputs
 
-#: How often the move of a solution on a curved manifold is refined.
+#: The number of refinements of the solution's change on a curved manifold.
 _REFINEMENTS = 6
-#: The least second derivative of a strict minimum, and the least product of a slack and its multiplier over the
+#: The least second derivative of a strict minimum, and the least product of a slack and its multiplier divided by the
 #: tolerance, both in the units of the solve.
 _LEAST_CURVED, _LEAST_PRODUCT = 1e-9, 1e-3
-#: What needs it.
+#: The requirement that messages name.
 _DOUBLE = "need double precision\n  fix: jax.config.update('jax_enable_x64', True)"
 
 
 class Optimum(NamedTuple):
-    """The end of a solve; slacks are such that no product with a multiplier is zero.
+    """The optimum of a solve, in which no product of a slack and a multiplier is zero.
 
-    Numbers have the precision of the program around. `exact` has the bits of those in double precision that the core
-    reads: nothing is differentiated by them.
+    Numbers have the precision of the JAX program. `exact` holds the bits of the double-precision values that the core
+    reads; it is not differentiated.
     """
 
-    z: Any  # points, controls, shared unknowns, and what it was solved for
+    z: Any  # points, controls, shared unknowns, and the arguments of the solve
     cost: Any
     lam: Any  # multipliers of the dynamics
     y: Any  # of inequalities
     ye: Any  # of equalities
-    zl: Any  # of lower and of upper bounds
+    zl: Any  # multipliers of lower and upper bounds
     zu: Any
-    below: Any  # distances from these
+    below: Any  # distances from these bounds
     above: Any
     s: Any  # slacks of inequalities
-    solved: Any  # 1, or 0: then it has no derivatives
+    solved: Any  # 1 if solved; with 0 there are no derivatives
     exact: Any
 
     @property
     def bound_weights(self) -> Any:
-        """Multipliers over distances, of both sides."""
+        """Multipliers divided by distances, for lower and upper bounds."""
         return self.zl / self.below + self.zu / self.above
 
 
@@ -85,13 +86,14 @@ class Move(NamedTuple):
 
 
 class OptimalityConditions:
-    """The first-order conditions of a problem in which parameters and final states of these names are shared unknowns.
+    """The first-order conditions of a problem in which the parameters and final states with these names are shared
+    unknowns.
 
     Args:
-        core: the problem's solver.
-        names: by kind; "final_time" has a name where a fixed final time is such an unknown, too.
-        instance: parameters, ends and limits of the problem as stated.
-        units: of its unknowns, rows and objective.
+        core: the solver of the problem.
+        names: names by kind; "final_time" is present if a fixed final time is such an unknown, too.
+        instance: parameters, initial and final states and limits of the original problem.
+        units: units of its unknowns, rows and objective.
     """
 
     def __init__(
@@ -108,7 +110,7 @@ class OptimalityConditions:
         self._numbers: Numbers = core.staged.numbers
         places = self._numbers.places(names["params"], names["final"])
         places = np.append(places, self._numbers.final_time[: len(names["final_time"])])
-        self._places = places.astype(np.int32)  # JAX without double precision has no others
+        self._places = places.astype(np.int32)  # JAX without double precision has no 64-bit integers
         self._data = self._numbers.vector(instance)
         self._by_node = {name: instance.params[name] for name in problem.by_node.leaves}
         functions = _WithNumbers(self.shooting, self._numbers, self._places)
@@ -118,14 +120,14 @@ class OptimalityConditions:
         self._transcription = Transcription([phase], shared, self._data)
         stages = self._transcription.stages
         rows, equalities = sum(stages.inequalities), sum(stages.equalities)
-        #: Of each array of a `Move`.
+        #: The shape of each array of a `Move`.
         self.sizes = Move(stages.variables, sum(stages.after), rows, equalities, 1)
         free = self.shooting.free
         self.fixed = np.append(self.staged.step(*free) == 0.0, np.ones(len(self._places), bool))
-        #: The places of inequalities and equalities among all rows.
+        #: The indices of inequalities and equalities among all rows.
         self._rows = [a.astype(int) for a in core.staged.split_rows(np.arange(len(self.shooting.exists)))[:2]]
         determined = self.shooting.determined & ~self.shooting.redundant
-        #: Rows that ends alone decide and the core has not, and their sizes.
+        #: Rows that depend only on fixed ends and that the core does not have, with their sizes.
         self._determined = np.flatnonzero(determined).astype(np.int32)
         self._sizes_of_decided = core.measure.row_sizes(units)[self._determined]
         #: The least product of a slack and its multiplier.
@@ -139,18 +141,18 @@ class OptimalityConditions:
     # ---- points ---------------------------------------------------------------------------------------------------
 
     def optimum(self, inputs: SolveInputs, result: Mapping[str, Any], solved: Any, precision: Any) -> Optimum:
-        """The result of a solve in a precision; the solve itself is in double precision."""
+        """The result of a solve in a given precision; the solve itself is in double precision."""
         least, y, v = self._least, result["y"], result["v"]
 
         def off(slack: Any, multiplier: Any) -> Any:
-            """Slacks off zero, as on the central path."""
+            """Slacks bounded away from zero, as on the central path."""
             positive = jnp.maximum(slack, least / jnp.maximum(multiplier, least))
             return jnp.where(jnp.isfinite(positive), positive, 1.0)
 
         def bounds(of_v: Any, last: float) -> Any:
             return jnp.append(of_v, jnp.full(len(self._places), last))
 
-        # A row without a multiplier takes part, too, as little as counts for nothing.
+        # A row without a multiplier is included with a negligible weight.
         y, s = jnp.maximum(y, least / jnp.maximum(result["s"], 1.0) * 1e-6), off(result["s"], y)
         zl, zu = result["zl"], result["zu"]
         optimum = Optimum(
@@ -173,7 +175,9 @@ class OptimalityConditions:
         return cast._replace(exact=jax.lax.bitcast_convert_type(exact, np.uint32))
 
     def violation(self, data: Any, z: Any) -> Any:
-        """The largest violation of rows that ends alone decide, in their sizes: the core has not these rows."""
+        """The largest violation of rows that depend only on fixed ends, in their scales; the core does not have these
+        rows.
+        """
         if not len(self._determined):
             return jnp.zeros(())
         numbers = self._numbers
@@ -184,19 +188,21 @@ class OptimalityConditions:
         return jnp.max(violated / jnp.asarray(self._sizes_of_decided, rows.dtype), initial=0.0)
 
     def point(self, z: Any) -> Iterate:
-        """The point of z."""
+        """The point of an array z."""
         xs, us, shared, values = self._split(z, self._part.point.size)
         return Iterate(self._part.point.split(xs), us, self._border(shared, self._changed(values)))
 
     def _changed(self, values: Any) -> Any:
-        """The numbers of kernels with other values of what it is solved for."""
+        """The numbers for kernels with other arguments of the solve."""
         return _replaced(jnp.asarray(self._data, values.dtype), self._places, values)
 
     def _border(self, shared: Any, data: Any) -> Any:
         return self.shooting.border.complete(shared, self._numbers.limits(data))
 
     def _split(self, values: Any, width: int) -> tuple[Any, Any, Any, Any]:
-        """Of numbers in the order of stages nodes, controls, shared unknowns, and what it is solved for."""
+        """Split an array in the order of the stages into nodes, controls, shared unknowns, and
+        arguments of the solve.
+        """
         count, m, g = self.shooting.intervals, self.shooting.m, self.staged.border.unknowns
         body, last, shared, numbers = jnp.split(values, np.cumsum([count * (width + m), width, g]))
         body = body.reshape(count, width + m)
@@ -207,7 +213,7 @@ class OptimalityConditions:
         return jnp.concatenate([body.reshape(-1), nodes[-1], *shared])
 
     def moved(self, z: Any, v: Any) -> Any:
-        """z after a step."""
+        """The point z after a step."""
         (xs, *rest), (d, *steps) = self._split(z, self._part.point.size), self._split(v, self.shooting.n)
         states = jax.vmap(self.shooting.dynamics.group.retract)(self._part.point.split(xs), d)
         nodes = jnp.concatenate([states[n].reshape(len(xs), -1) for n in self._part.point.shapes], axis=1)
@@ -221,7 +227,7 @@ class OptimalityConditions:
         final: Mapping[str, Any],
         final_time: Mapping[str, Any],
     ) -> Any:
-        """The step of all that is fixed from z to these values; those that are NaN stay. Zero elsewhere."""
+        """The step of all fixed unknowns from z to these values, zero for other unknowns; NaN values are ignored."""
         phase, point = self.shooting, self.point(z)
         d, u, shared = jnp.zeros((phase.nodes, phase.n)), jnp.zeros_like(point.us), jnp.zeros(phase.border.unknowns)
         for name, value in initial.items():
@@ -248,7 +254,7 @@ class OptimalityConditions:
         matvec: Callable[[Any], Any] = functools.partial(self._conditions, optimum)
         curved = self._part.phase.kernels.retract is not None
         if side.dtype != np.float64:
-            # The conditions are too inexact in single precision. JAX needs only the solutions of the equations.
+            # The conditions are too inaccurate in single precision. JAX needs only the solution of the equations.
             if curved:
                 raise TrajectoryError(f"solution: derivatives of rotations and poses {_DOUBLE}")
             matvec = lambda flat: _no_slope(optimum.z[0]) * flat  # noqa: E731
@@ -258,7 +264,7 @@ class OptimalityConditions:
             move = once(side)
             if not curved:
                 return move
-            # Charts move with the nodes: what that changes is of the size of the mesh's error.
+            # Charts move with the nodes; the effect of this is of the order of the mesh error.
             return jax.lax.fori_loop(0, _REFINEMENTS, lambda _, move: move + once(side - apply(move)), move)
 
         return jax.lax.custom_linear_solve(
@@ -277,12 +283,14 @@ class OptimalityConditions:
             return jax.lax.convert_element_type(move, side.dtype)
 
     def by_the_core(self, transposed: bool, exact: Any, side: Any) -> Array:
-        """The change of an optimum for right-hand sides (..., entries) that are numbers."""
+        """The change of an optimum for numeric right-hand sides (..., entries)."""
         row = np.ascontiguousarray(exact).view(np.float64).ravel()
         return self._moves[transposed].now(row, np.reshape(side, (-1, np.shape(side)[-1]))).reshape(np.shape(side))
 
     def _conditions(self, optimum: Optimum, flat: Any) -> Any:
-        """The derivative of the first-order conditions along a move: what `by_the_core` solves, for JAX."""
+        """The derivative of the first-order conditions along a move, in JAX: the operator that
+        `by_the_core` inverts.
+        """
         move = self.split(flat)
         (gradient, c, h, e), cost = jax.jvp(
             functools.partial(self._residuals, optimum), (jax.tree.map(jnp.zeros_like, move),), (move,)
@@ -291,7 +299,7 @@ class OptimalityConditions:
         return self.flattened(Move(gradient, c, h - optimum.s / optimum.y * move.y, e, move.cost - cost))
 
     def _residuals(self, optimum: Optimum, move: Move) -> tuple[tuple[Any, Any, Any, Any], Any]:
-        """The Lagrangian's gradient, defects and rows after a move, and the cost."""
+        """The gradient of the Lagrangian, defects, rows and cost after a move."""
         z = self.moved(optimum.z, move.v)
         multipliers = optimum.lam + move.lam, optimum.y + move.y, optimum.ye + move.ye
 
@@ -303,7 +311,7 @@ class OptimalityConditions:
         return (jax.grad(lagrangian)(jnp.zeros(self.sizes.v)), *values), cost
 
     def _values(self, z: Any, v: Any) -> tuple[Any, Any, Any, Any]:
-        """Cost, defects and rows at z, a step away in the charts of its nodes."""
+        """Cost, defects and rows at z, as functions of a step in the charts of its nodes."""
         xs, *rest = self._split(z, self._part.point.size)
         d, *steps = self._split(v, self.shooting.n)
         us, shared, values = (a + b for a, b in zip(rest, steps))
@@ -327,7 +335,7 @@ def _refused(primals: Any, tangents: Any) -> Any:
 
 
 class _WithNumbers(PhaseFunctions):
-    """The functions of a phase that read some of their numbers from the shared unknowns, the last of them."""
+    """The functions of a phase, some of whose numbers are read from the last of the shared unknowns."""
 
     def __init__(self, shooting: Shooting, numbers: Numbers, places: Array) -> None:
         super().__init__(shooting, numbers)
@@ -353,7 +361,7 @@ class _WithNumbers(PhaseFunctions):
 
 
 def _replaced(data: Any, places: Array, values: Any) -> Any:
-    """Numbers, those at some places replaced. Slices and no scatter: kernels read these."""
+    """An array with values replaced at some indices. It uses slices, because kernels cannot have scatter operations."""
     index, joined = np.arange(len(data)), jnp.concatenate([data, values])
     index[places] = len(data) + np.arange(len(places))
     runs = np.split(index, np.flatnonzero(np.diff(index) != 1) + 1)

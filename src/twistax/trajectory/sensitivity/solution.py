@@ -1,4 +1,6 @@
-"""Derivatives of an optimum by what it was solved for, through the implicit function theorem; see `optimum.py`."""
+"""Derivatives of an optimum with respect to the arguments of the solve, by the implicit function theorem; see
+`optimum.py`.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,7 @@ from ..transcription.iterate import Instance
 from .core_call import CoreCall, SolveInputs
 from .optimum import Move, OptimalityConditions, Optimum
 
-#: Rounding of a row in roundings of its size.
+#: The round-off of a row, in units of machine precision times its size.
 _ROUNDING = 100.0
 
 
@@ -42,7 +44,7 @@ class Solution(NamedTuple):
 
 
 class _Theta(NamedTuple):
-    """The arguments of a call of `solution`, without those that were left out."""
+    """The arguments of a call of `solution`, without omitted ones."""
 
     params: dict[str, Any]
     initial: dict[str, Any]
@@ -59,54 +61,54 @@ def solution(
     max_iterations: int = 1000,
     mesh_tolerance: float = MESH,
 ) -> Callable[..., Solution]:
-    """The optimum as a function of parameters and ends, which JAX can differentiate.
+    """The optimum as a function of parameters and end values, which JAX can differentiate.
 
     `f = tx.trajectory.solution(problem)`; `f(params=..., initial=..., final=..., final_time=...)` takes the arguments
     of `problem.solve`, all optional, and returns a `Solution`. `jax.grad`, `jax.jacfwd`, `jax.jacrev`, `jax.vmap` and
-    `jax.jit` apply. A fixed final time is an argument as well. Derivatives with respect to poses and rotations are
+    `jax.jit` apply to it. A fixed final time is an argument, too. Derivatives with respect to poses and rotations are
     those of the entries of their matrices, for curves on the group, as `group.retract` makes them.
 
-    The first call solves the problem as stated, with `problem.solve`. Every later call is one call of the
-    solver's core, which starts at that optimum, in its scales, and computes in double precision whatever
-    `jax_enable_x64` is. Inside `jit` and `vmap` it is one operation, and threads of XLA share the members of
-    a batch. Outside of these the mesh is checked as in `problem.solve`, and where the core finds no optimum
-    `problem.solve` is called.
+    The first call solves the problem as stated, with `problem.solve`. Every later call is one call of the solver's
+    core, which starts at that optimum, in its scales, and computes in double precision whatever `jax_enable_x64` is.
+    Inside `jit` and `vmap` it is one operation, and threads of XLA compute the members of a batch in parallel. Outside
+    of these, the mesh is checked as in `problem.solve`, and if the core finds no optimum `problem.solve` is called.
 
     The objective is differentiable wherever the optimum is regular. The trajectory is differentiable at a strict
     minimum where the set of active limits does not change (strict complementarity).
 
     Args:
-        guess, warm: for the problem as stated, as in `problem.solve`.
-        max_iterations, mesh_tolerance: likewise. Under `jit` and `vmap` the mesh is that of the problem as
-            stated, which is checked once.
-        tolerance: likewise; derivatives are no more accurate than the solution.
+        guess, warm: for the solve of the original problem, as in `problem.solve`.
+        max_iterations, mesh_tolerance: as in `problem.solve`. Under `jit` and `vmap` the mesh is that of the original
+            problem, which is checked once.
+        tolerance: as in `problem.solve`; derivatives are no more accurate than the solution.
 
     Raises:
-        TrajectoryError: a problem of phases; when called: the problem was not solved, or a derivative at a result that
-            is not a strict minimum. Under `jit` and `vmap` `solved` is 0, or derivatives are NaN; an error is raised
-            there for functions without a native form, such as those with host callbacks.
+        TrajectoryError: a problem of several phases; when called: the problem was not solved, or a derivative is
+            required at a result that is not a strict minimum. Under `jit` and `vmap`, `solved` is 0 or derivatives are
+            NaN in these cases; an error is raised there only for functions without a native form, such as those with
+            host callbacks.
     """
     if not getattr(problem, "alone", False):
         phases = len(getattr(problem, "parts", ()))
         got = f"a list of phases, {phases}" if phases else type(problem).__name__
         raise TrajectoryError(f"solution expects a tx.trajectory.Problem of one phase, got {got}")
-    if by_updates(problem.parts):  # derivatives need exact ones
+    if by_updates(problem.parts):  # derivatives need exact second derivatives
         problem = problem.with_phases([{"hessian": None}])
     options = {"guess": guess, "warm": warm, "max_iterations": max_iterations, "mesh_tolerance": mesh_tolerance}
     return _Differentiable(problem, options, tolerance)
 
 
 class _Reference(NamedTuple):
-    """The problem that was solved, by implicit steps or as stated, and the call of the core that starts there."""
+    """The problem that was solved, with explicit or implicit steps, and the core call that starts at its solution."""
 
     problem: Problem
     core: CoreSolver
     instance: Instance
     call: CoreCall
-    coarse: str  # what is said of its mesh if that is too coarse
+    coarse: str  # the message about its mesh if that is too coarse
 
     def need_compiled(self) -> None:
-        """Raise TrajectoryError where a program of XLA cannot solve it."""
+        """Raise TrajectoryError if an XLA program cannot solve it."""
         self.call.need_compiled()
         if self.coarse:
             raise TrajectoryError(f"solution: the problem was not solved. {self.coarse}")
@@ -130,8 +132,12 @@ class _Differentiable:
         times = {} if final_time is None else {"final_time": _numbers("solution: final_time", final_time)}
         theta = _Theta(_by_name("params", params), _by_name("initial", initial), _by_name("final", final), times)
         if final_time is not None and self._problem.border.free[0]:
-            raise TrajectoryError(f"solution: the final time is free, and no argument; got {short(final_time)}")
-        names = tuple(tuple(sorted(part)) for part in (theta.params, theta.final, theta.final_time))  # as JAX has keys
+            raise TrajectoryError(
+                f"solution: the final time is free in the problem, so it is not an argument; got {short(final_time)}"
+            )
+        names = tuple(
+            tuple(sorted(part)) for part in (theta.params, theta.final, theta.final_time)
+        )  # in the form of JAX's keys
         if names not in self._of:
             self._of[names] = _SolutionFor(self._reference, self._options, names)
         return self._of[names](theta)
@@ -152,11 +158,11 @@ class _Differentiable:
 
 
 class _SolutionFor:
-    """The solution as a function of parameters, final states and a final time of these names."""
+    """The solution as a function of the parameters, final states and final time with these names."""
 
     def __init__(self, reference: _Reference, options: dict[str, Any], names: tuple[tuple[str, ...], ...]) -> None:
         self._problem, self._reference, self._options, self._names = reference.problem, reference, options, names
-        # Options of the compiler belong to the outermost program alone: within another one these have none.
+        # Compiler options belong only to the outermost program; nested programs have none.
         self._alone = jax.jit(self._tangent, compiler_options=quick_compile(1), keep_unused=True)
         self._within = jax.jit(self._tangent)
         self._shown = jax.jit(self._solution)
@@ -169,7 +175,7 @@ class _SolutionFor:
         return self._shown(self._differentiable(theta))
 
     def _check(self, theta: _Theta) -> None:
-        """Raise InputError, or what `problem.solve` does, where an argument does not fit the problem."""
+        """Raise InputError, or the error of `problem.solve`, if an argument does not fit the problem."""
         problem, states = self._problem, {state.name: state for state in self._problem.dynamics.states}
         shapes = {name: np.shape(value) for name, value in problem.params.items()}
         of_states = {name: state.shape for name, state in states.items()}
@@ -177,7 +183,7 @@ class _SolutionFor:
             if name in problem.by_node.leaves:
                 raise TrajectoryError(
                     f"solution: params names {name!r}, which has a value for each node and cannot be an argument.\n"
-                    "  fix: state the problem with its values, params={...}"
+                    "  fix: pass its values to the problem, params={...}"
                 )
         for what, known in (("params", shapes), ("initial", of_states), ("final", of_states)):
             for name, value in getattr(theta, what).items():
@@ -190,7 +196,7 @@ class _SolutionFor:
                 if not np.any(fixed[name]):
                     raise TrajectoryError(
                         f"solution: {what}[{name!r}] must fix the entries that the problem fixes: it fixes none.\n"
-                        "  fix: state the problem with a value there"
+                        "  fix: pass a value for it to the problem"
                     )
 
     def _solution(self, optimum: Optimum) -> Solution:
@@ -208,7 +214,7 @@ class _SolutionFor:
 
     @functools.cached_property
     def _conditions(self) -> OptimalityConditions:
-        """The problem with these names among its unknowns; its kernels compile once."""
+        """The conditions of the problem with these names among its unknowns; its kernels compile once."""
         _, core, instance, call, _ = self._reference
         with in_double():
             names = dict(zip(("params", "final", "final_time"), self._names))
@@ -232,7 +238,7 @@ class _SolutionFor:
             inputs = self._inputs(theta)
             traced = call.solves.split(call.solves(jnp.concatenate(inputs)))
             data, z = (jax.lax.convert_element_type(a, precision) for a in (inputs.data, traced["z"]))
-        # Kernels of a program have its precision.
+        # The kernels of a program have its precision.
         least = _ROUNDING * float(jnp.finfo(precision).eps)
         holds = self._conditions.violation(data, z) <= max(self._reference.core.tolerance, least)
         holds &= self._is_meant(theta)
@@ -240,7 +246,7 @@ class _SolutionFor:
             return self._conditions.optimum(inputs, traced, call.is_solved(traced) & holds, precision)
 
     def _is_meant(self, theta: _Theta) -> Any:
-        """Whether all values are numbers, and the duration is positive; free entries of ends do not count."""
+        """Whether all values are finite and the duration is positive; free entries of ends are ignored."""
         ends, known = self._problem.ends, [jnp.isfinite(value).all() for value in jax.tree.leaves(theta.params)]
         for values, fixed in ((theta.initial, ends.initial_fixed), (theta.final, ends.final_fixed)):
             known += [jnp.where(fixed[name], jnp.isfinite(value), True).all() for name, value in values.items()]
@@ -248,12 +254,12 @@ class _SolutionFor:
         return jnp.stack([jnp.asarray(True), *known]).all()
 
     def _solved(self, theta: _Theta) -> tuple[SolveInputs, jax.Array]:
-        """The solve for numbers, and its inputs."""
+        """The solve for numeric arguments, and its inputs."""
         call, numbers = self._reference.call, jax.tree.map(np.asarray, theta)
         values: Any = {name: getattr(numbers, name) or None for name in ("params", "initial", "final")}
         values |= numbers.final_time
         started, tolerance = self._problem.started(**values), self._reference.core.tolerance
-        core = self._problem.core(tolerance, started.point, started.instance)  # of this thread
+        core = self._problem.core(tolerance, started.point, started.instance)  # the solver of this thread
         inputs = self._inputs(theta)
         result = call.solves.now(np.asarray(jnp.concatenate(inputs)))
         judged = call.judged(core, call.solves.split(result), started.instance, self._options["mesh_tolerance"])
@@ -266,7 +272,7 @@ class _SolutionFor:
             result = call.solves.now(np.asarray(jnp.concatenate(inputs)))
         return inputs, jnp.asarray(result)
 
-    # ---- its derivatives ----------------------------------------------------------------------------------------
+    # ---- derivatives ---------------------------------------------------------------------------------------------
 
     def _jvp(self, primals: tuple[_Theta], of_primals: tuple[_Theta]) -> tuple[Optimum, Optimum]:
         (theta,), (tangents,) = primals, of_primals
@@ -281,7 +287,7 @@ class _SolutionFor:
     def _tangent(self, theta: _Theta, tangents: _Theta, optimum: Optimum) -> Optimum:
         """The change of the optimum along a change of the arguments."""
         conditions, known = self._conditions, jnp.where(optimum.solved > 0.0, 1.0, jnp.nan)
-        tangents = jax.tree.map(lambda a: known * a, tangents)  # also where an argument is NaN
+        tangents = jax.tree.map(lambda a: known * a, tangents)  # also if an argument is NaN
 
         def fixed(theta: _Theta) -> Any:
             return conditions.fixed_step(optimum.z, *theta)
@@ -290,7 +296,7 @@ class _SolutionFor:
         side = Move(step, *(jnp.zeros(size) for size in conditions.sizes[1:]))
         move = conditions.split(conditions.solved(optimum, conditions.flattened(side)))
         z = jax.jvp(lambda v: conditions.moved(optimum.z, v), (jnp.zeros_like(move.v),), (move.v,))[1]
-        # Products of slacks and multipliers stay.
+        # Products of slacks and multipliers are constant.
         return Optimum(
             z,
             move.cost,
@@ -314,7 +320,7 @@ def _by_name(what: str, values: Any) -> dict[str, jax.Array]:
 
 
 def _numbers(place: str, value: Any) -> jax.Array:
-    """Numbers, traced ones as they are."""
+    """Arrays from numbers; traced values are not changed."""
     if is_traced(value):
         return jnp.asarray(real_array(place, value), float)
     return jnp.asarray(reals(place, value, InputError, free=True), float)

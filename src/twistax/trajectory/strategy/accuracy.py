@@ -1,4 +1,4 @@
-"""The accuracy of a result with respect to the differential equations, and constraint rows without slope."""
+"""The accuracy of a result: its error with respect to the differential equations, and rows whose gradient vanishes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy import ndarray as Array
 
-#: The error of a mesh that SOLVED allows by default.
+#: The default mesh tolerance of status SOLVED.
 MESH = 1e-2
 
 
@@ -18,9 +18,9 @@ class Exceeded:
     """A limit that is violated between nodes.
 
     Attributes:
-        by: how far it is exceeded, in its own unit.
-        share: the same in its scale; limits hold within `tolerance` of that at the nodes.
-        place: between which nodes.
+        by: the violation, in the unit of the limit.
+        share: the violation in its scale; at the nodes it is at most `tolerance`.
+        place: the two nodes between which it occurs.
     """
 
     by: float
@@ -95,7 +95,7 @@ class Accuracy:
 
 
 class FlatRow(NamedTuple):
-    """A constraint row without slope, and its scaled multiplier."""
+    """A constraint row whose gradient vanishes, and its scaled multiplier."""
 
     name: str
     place: str

@@ -19,7 +19,7 @@ from .strategies import solved
 
 
 def solve_all(solver: CoreSolver, cases: Sequence[Any], most: int, mesh_tolerance: float) -> list[Outcome]:
-    """The outcomes of all cases, each from its start `point` and its data `instance`."""
+    """The outcomes of all cases, from the `point` at which each starts and its data `instance`."""
     of_thread = threading.local()
 
     def outcome(case: Any) -> Outcome:

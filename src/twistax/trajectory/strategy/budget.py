@@ -16,14 +16,14 @@ class Budget:
     """The limits that all runs of one solve share.
 
     Args:
-        max_iterations: of all runs.
-        max_seconds: of wall time from now; no end if left out.
-        callback: called before each iteration with its number, cost, violation and the largest relative change of an
-            unknown since the last one; it ends the solve where it returns True.
+        max_iterations: the limit for all runs together.
+        max_seconds: wall time from now; None means no limit.
+        callback: called before each iteration with its number, the cost, the violation, and the largest relative change
+            of an unknown since the last iteration; it ends the solve by returning True.
 
     Attributes:
-        used: iterations of the runs that ended.
-        ended: why the solve should end before its iterations do; None while it may go on.
+        used: the number of iterations of the completed runs.
+        ended: the reason to end the solve early; None while there is none.
     """
 
     def __init__(
@@ -42,7 +42,7 @@ class Budget:
 
     @property
     def seconds_left(self) -> float | None:
-        """The remaining wall time, not less than a minimum; None without a limit."""
+        """The remaining wall time, at least a minimum; None without a limit."""
         return None if np.isinf(self._due) else max(self._due - time.monotonic(), 1e-6)
 
     @property
@@ -51,7 +51,7 @@ class Budget:
         return self.left == 0 or self.ended is not None
 
     def ends(self, iteration: int, cost: float, violation: float, z: Array | None = None) -> bool:
-        """Whether a run must stop before this iteration, at the unknowns z."""
+        """Whether a run must stop before this iteration, with the unknowns z."""
         stop = None
         if self._callback is not None:
             size = None

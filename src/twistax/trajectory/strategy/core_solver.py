@@ -25,23 +25,23 @@ from .outcome import Outcome
 from .status import Status
 from .warm import WarmStart
 
-#: Over the tolerance of a solve: the core's tolerance; its least barrier parameter, and by how much it relaxes bounds.
+#: Ratios to the tolerance of a solve: the core's tolerance, its least barrier parameter, and the relaxation of bounds.
 _CLOSER, _LEAST = 0.1, 1e-3
-#: The largest turn of a step, rad, and the largest change of a duration, relative: one that falls faster is at
-#: its limit before states and controls have followed it.
+#: The largest rotation of a step, rad, and the largest relative change of a duration. A larger decrease would move the
+#: duration to its limit before states and controls have adapted to it.
 _TURN, _CHANGE = 1.5, 0.2
-#: Iterations of a run, or of one in units that were measured then, after which units are measured anew; it begins anew
-#: there if one of them is so many times as large or as small.
+#: Iterations of a run after which its units are measured again, in general and after units were measured already. The
+#: run restarts there if a unit has changed by more than this factor.
 _FITTED_AT, _MISFIT = (7, 30, 80), 10.0
-#: The first barrier parameter of a warm start over its error, and the limits of that parameter.
+#: The ratio of the first barrier parameter of a warm start to the error of the start, and the limits of that parameter.
 _WARM_SHARE, _WARM_LEAST, _WARM_MOST = 1e-2, 1e-9, 0.1
-#: Options that change nothing of a start: it is only measured, however large its error is.
+#: Options under which a start is only measured and not changed, however large its error is.
 _AS_IT_IS = {"iterations": 0, "barrier_start": 1e-14, "slack_push": 1e-20, "bound_push": 0.0, "warm_range": 1e300}
 _AS_IT_IS |= {"acceptable": 1e300}
 
 
 class _Start(NamedTuple):
-    """The start of a run, the data of its problem, and its units."""
+    """The start of a run, the data of its problem, and the units of the solve."""
 
     point: Iterate
     instance: Instance
@@ -49,19 +49,19 @@ class _Start(NamedTuple):
 
 
 class CoreSolver:
-    """Solves a transcribed problem with the core; kernels compile once.
+    """Solves a transcribed problem with the solver's core. Kernels compile once.
 
     Args:
         staged: the problem.
-        problems: those of its phases.
-        instance: what it is solved for, for shapes.
-        tolerance: of the first-order conditions, scaled.
+        problems: the problems of its phases.
+        instance: data of a solve, for shapes.
+        tolerance: tolerance of the scaled first-order conditions.
 
     Attributes:
-        busy: whether it is in a solve.
-        measure, judge: measure results, and look at their meshes.
-        largest_step: how far a step may move each unknown, as `solver.core.solve` has it.
-        made: IPOPT's and Fatrop's form of the problem, by solver.
+        busy: whether a solve is in progress.
+        measure, judge: measure the errors of results, and check their meshes.
+        largest_step: the largest step of each unknown, as in `solver.core.solve`.
+        made: the problem in the form of IPOPT or Fatrop, by solver.
     """
 
     def __init__(self, staged: Staged, problems: Sequence[Any], instance: Instance, tolerance: float) -> None:
@@ -82,18 +82,18 @@ class CoreSolver:
         self._exactly |= {"excess": _CLOSER * tolerance, "excess_acceptable": tolerance, "acceptable": tolerance / COST}
 
     def alone(self, instance: Instance) -> CoreSolver:
-        """The same for another thread: kernels are shared, memory is not."""
+        """A copy for another thread: it shares kernels, not memory."""
         return CoreSolver(self.staged.alone(instance), self._problems, instance, self.tolerance)
 
     def units(
         self, point: Iterate, instance: Instance, *, is_guess: bool = False, with_rows: bool = True
     ) -> StartUnits:
-        """Units at a start; the durations of a guess may be far too long."""
+        """Units at a start, where the durations of a guess may be far too long."""
         self.staged.set_instance(instance)
         return StartUnits(self.staged, point, instance.limits if is_guess else None, with_rows=with_rows)
 
     def options(self, max_iterations: int) -> dict[str, float]:
-        """Options of the core for a start that is no warm one."""
+        """Options of the core for a start that is not a warm start."""
         return {**self._exactly, "iterations": max_iterations}
 
     def moved(self, point: Iterate, step: Step) -> Iterate:
@@ -115,10 +115,10 @@ class CoreSolver:
         """Solve from a start in its units.
 
         Args:
-            cost_floor: the least unit of the objective.
-            as_stated: whether everything counts in the units of the statement.
-            rescaling: whether units are measured anew within a run.
-            is_guess: whether a point may be far from a trajectory.
+            cost_floor: the smallest unit of the objective.
+            as_stated: whether to use the units of the statement, without scaling.
+            rescaling: whether units are measured again within a run.
+            is_guess: whether a point may be far from a feasible trajectory.
         """
         point = _arrays(start.point if isinstance(start, WarmStart) else start)
         known = start.units if isinstance(start, WarmStart) and not as_stated else None
@@ -140,7 +140,7 @@ class CoreSolver:
             return self._from_point(begin, options, check, _FITTED_AT if rescaling and not as_stated else ())
         warm, distance = self._warm(begin, start.dynamics, start.rows)
         if distance <= self.tolerance:
-            for units_of in (units,) if known is None else (units, known):  # it was solved in those that it has
+            for units_of in (units,) if known is None else (units, known):  # it was solved in its present units
                 outcome = self._as_it_is(warm, begin._replace(units=units_of))
                 if outcome.status is Status.SOLVED:
                     return outcome
@@ -148,7 +148,7 @@ class CoreSolver:
         return self.measure.outcome(self._call(begin, {**options, **_near(distance)}, warm, check), units, instance)
 
     def measured(self, point: Iterate, dynamics: Array, rows: Array, instance: Instance) -> Outcome:
-        """The optimality errors of a point with multipliers, in units that fit it."""
+        """The optimality errors of a point with multipliers, in units measured there."""
         start = _Start(point, instance, self.units(point, instance))
         return self._as_it_is(self._warm(start, dynamics, rows)[0], start)
 
@@ -160,8 +160,8 @@ class CoreSolver:
     def _from_point(
         self, start: _Start, options: dict[str, float], check: _IterationCheck, fitted: Sequence[int]
     ) -> Outcome:
-        """A solve from a point. Its units are measured again after some iterations, because a guess may say little
-        about them.
+        """A solve from a point. Its units are measured again after some iterations, because a guess may have other
+        magnitudes than the solution.
         """
         left = list(fitted)
         while True:
@@ -195,8 +195,8 @@ class CoreSolver:
         warm: CoreSolution | None = None,
         check: StopCheck | None = None,
     ) -> CoreSolution:
-        """One call of the core. If its feasibility restoration alone does not end, iterations are left over: no step
-        helps.
+        """One call of the core. If its feasibility restoration fails alone, iterations remain, because no step reduces
+        the violation.
         """
         staged, units, functions = self.staged, start.units, self.staged.transcription.functions
         z = staged.flat(start.point)
@@ -233,8 +233,8 @@ class CoreSolver:
 
 
 def _near(distance: float) -> dict[str, float]:
-    """Options that keep the iterates near a warm start: the larger its violation, and where there is none the gradient
-    of its Lagrangian, the larger the initial barrier.
+    """Options that keep the iterates near a warm start: the initial barrier parameter is proportional to its violation
+    or, for a feasible start, to the gradient of its Lagrangian.
     """
     barrier = float(np.clip(_WARM_SHARE * distance, _WARM_LEAST, _WARM_MOST))
     push = min(max(barrier, 1e-12) ** 0.5, 1e-2)
@@ -242,11 +242,11 @@ def _near(distance: float) -> dict[str, float]:
 
 
 class _IterationCheck:
-    """The callback before each iteration: it lets Python handle signals, and checks the limits of the solve.
+    """The callback before each iteration, which lets Python handle signals and checks the limits of the solve.
 
     Attributes:
-        before: iterations before this call of the core.
-        extra: a second reason to stop.
+        before: the number of iterations before this call of the core.
+        extra: an additional condition that ends the run.
     """
 
     def __init__(self, budget: Budget) -> None:
@@ -254,7 +254,7 @@ class _IterationCheck:
         self.extra: Callable[[int, Array], bool] = lambda iteration, z: False
 
     def __call__(self, iteration: int, cost: float, violation: float, z: Array) -> bool:
-        is_new = iteration > 0 or self.before == 0  # the first iterate in other units is the last one before
+        is_new = iteration > 0 or self.before == 0  # the first iterate in new units is the last one in the old units
         return (is_new and self.budget.ends(self.before + iteration, cost, violation, z)) or self.extra(iteration, z)
 
 

@@ -1,4 +1,4 @@
-"""Integration by the solver's core: an accurate integration of each interval from its planned start, and rollouts of a
+"""Integration with the solver's core: accurate integration of each interval from its planned start, and rollouts of a
 phase.
 """
 
@@ -21,23 +21,23 @@ from ..transcription.staged import Staged
 from ..transcription.staged_phase import StagedPhase
 from ..transcription.vectors import Numbers
 
-#: How many moves of all unknowns there are: in one of them changes may cancel.
+#: The number of random moves of all unknowns; in a single one, changes may cancel.
 _MOVES = 4
-#: A method for values at nodes alone: what intervals end at has no meaning.
+#: A method for values at nodes only; its ends of intervals are not meaningful.
 _AT_NODES = MultipleShooting(RKMK(tableaus.EULER), 1)
 
 
 class Closely(NamedTuple):
     """The result of the accurate integration of each interval of a phase from its planned start."""
 
-    gaps: Array  # (intervals, n) how far its end is from the planned one, a tangent
-    rows: Array  # (intervals, path rows) the largest value along it; of equalities the largest size
-    cost: float  # of the phase, its end included
+    gaps: Array  # (intervals, n) the tangent from the planned end to the accurate end
+    rows: Array  # (intervals, path rows) the largest value along the interval; for equalities the largest magnitude
+    cost: float  # for the phase, including its end
     middles: dict[str, Array]  # states halfway
 
 
 class Changes(NamedTuple):
-    """The changes of rows and objective by moves of the unknowns."""
+    """Changes of rows and objective under moves of the unknowns."""
 
     rows: Array
     cost: float
@@ -60,14 +60,14 @@ class CloseIntegration:
         self._signs = np.zeros((0, 0))
 
     def at(self, z: Array, instance: Instance) -> tuple[Closely, ...]:
-        """The accurate integrations of all phases at a point of the problem."""
+        """The accurate integration of all phases at a point of the problem."""
         self._transcription.set_data(self._staged.numbers.vector(instance))
         seen = Evaluated(self._transcription, z)
         middles = self._middles(z)
         return tuple(self._phase(k, seen, middles[k]) for k in range(len(self._phases)))
 
     def determined_rows(self, z: Array, instance: Instance) -> Array:
-        """(rows,) values of the node rows that ends or other rows determine; other entries are meaningless."""
+        """(rows,) values of the node rows that fixed ends or other rows determine; other entries are meaningless."""
         transcription, rows = self._at_nodes, []
         transcription.set_data(self._staged.numbers.vector(instance))
         h = Evaluated(transcription, z).h
@@ -101,8 +101,8 @@ class CloseIntegration:
         """The largest changes of rows and objective under random moves of all free unknowns.
 
         Args:
-            v: sizes of all unknowns.
-            length: of the moves, in these sizes.
+            v: the sizes of all unknowns.
+            length: the length of the moves, in these sizes.
         """
         staged, transcription = self._staged, self._staged.transcription
         free = staged.transcribed.free
@@ -124,7 +124,7 @@ class CloseIntegration:
 
 
 def _looking(part: StagedPhase, method: Scheme) -> CorePhase:
-    """A phase by another method, with all rows as inequalities."""
+    """A phase with another transcription, with all rows as inequalities so that they are only evaluated."""
     shape = (part.phase.intervals, method.substeps + 1, part.phase.path.shape[2])
     conditions = [np.full(len(rows), INEQUALITY) for rows in part.phase.conditions]
     return dataclasses.replace(part.phase, method=method, path=np.full(shape, INEQUALITY), conditions=conditions)
@@ -135,8 +135,8 @@ class CoreRollout:
 
     Args:
         part: the phase.
-        transcription: what integrates an interval; its substeps are the samples.
-        numbers: where the numbers of a solve stand.
+        transcription: the integration of an interval; the substeps are the samples.
+        numbers: the layout of the numbers of a solve.
         data: these.
     """
 
@@ -172,11 +172,11 @@ class CoreRollout:
         """(samples, ...) the states along an interval that starts at a node.
 
         Args:
-            end: a node near the end, about which no logarithm jumps.
+            end: a node near the end, about which the logarithm is continuous.
         """
         shooting = self._part.shooting
         self._start[0], self._width[0] = shooting.mesh.shares[number], shooting.mesh.widths[number]
-        # What was integrated is for another interval.
+        # The cached integration is that of another interval.
         self._transcription.set_data(self._numbers.at_times(self._data, border))
         Evaluated(self._transcription, np.concatenate([base, u[: shooting.m], end, border[shooting.border.unknown]]))
         eta = np.stack([self._transcription.states(0, k)[0] for k in range(1, self._samples + 1)])

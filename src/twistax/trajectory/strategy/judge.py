@@ -1,15 +1,15 @@
-"""Checks of a result once a search has ended: the error of the mesh, limits between nodes, and rows without slope.
+"""Checks of a result after a search: the mesh error, violations between nodes, and rows whose gradient vanishes.
 
-Every interval is integrated closely again from its planned start, with the planned controls. It ends a tangent g_k away
-from the planned end. With y_k the multipliers of the dynamics, the objective J of a mesh that follows the equations is,
-to first order,
+Every interval is integrated again accurately from its planned start, with the planned controls. Its end differs from
+the planned end by a tangent g_k. With the multipliers y_k of the dynamics, the objective of a trajectory that satisfies
+the differential equations is, to first order,
 
-    J + sum_k y_k . g_k + (cost along the close integration - cost as planned).
+    J + sum_k y_k . g_k + (cost along the accurate integration - planned cost).
 
-Source: Becker and Rannacher, Acta Numerica 10 (2001), pp. 1-102, errors weighted by the dual solution.
+Source: Becker and Rannacher, Acta Numerica 10 (2001), pp. 1-102 (dual-weighted error estimates).
 
-A row has a slope if a move of all unknowns changes it by as much as its multiplier is worth. Its multiplier times
-that change, over the change of the objective, is of order one where it has.
+A row has a nonvanishing gradient if a move of all unknowns by their sizes changes it noticeably: the product of its
+multiplier and that change is then of the order of the change of the objective.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from .outcome import Outcome
 from .status import AT_OPTIMUM, Status
 from .stiffness import amplification
 
-#: Multipliers beyond this, in scales of moves, are of rows without slope.
+#: Rows with a larger multiplier, in scales of moves, count as rows whose gradient vanishes.
 _RUN_AWAY = 1e8
 #: The length of a small move, in sizes of the unknowns.
 _SMALL = 1e-3
@@ -41,18 +41,18 @@ class Judge:
     """Checks the end of a search, and sets the status accordingly.
 
     Args:
-        close: integrates closely.
+        close: the accurate integration.
     """
 
     def __init__(self, close: CloseIntegration, staged: Staged) -> None:
         self._close, self._staged, self._shooting = close, staged, staged.transcribed
-        #: Rows |a|^2 <= b^2 in place of |a| <= b: their multipliers grow like 1 / b as b goes to zero.
+        #: Rows |a|^2 <= b^2 in place of |a| <= b, whose multipliers grow like 1 / b as b goes to zero.
         self._cones = self._named(lambda path: path.cones)
-        #: Rows |a|^2 / s <= s: their slope by s is at least one, whatever moves of a change.
+        #: Rows |a|^2 / s <= s, whose derivative with respect to s is at least one, however a changes.
         self._norm_bounds = self._named(lambda path: itertools.compress(path.names, path.norm_bounds))
 
     def _named(self, names_of: Callable[[Any], Iterable[str]]) -> Array:
-        """Which rows have some of the names of a path."""
+        """Which rows have one of these names."""
         named, segments = self._shooting.named, self._shooting.segments
         names = [named(part, name) for part in segments for name in names_of(part.shooting.path)]
         return np.isin(np.asarray(self._shooting.names, str), names)
@@ -61,8 +61,8 @@ class Judge:
         """The outcome with its accuracy, and with the status that follows from it.
 
         Args:
-            mesh_tolerance: the largest error of the mesh of a status that says that the problem is solved.
-            tolerance: limits that are exceeded by more, in their scales, are named.
+            mesh_tolerance: the largest mesh error for status SOLVED.
+            tolerance: larger violations of limits, in their scales, are reported.
         """
         ended_well = outcome.status in AT_OPTIMUM
         if outcome.status is Status.NON_FINITE or not (ended_well or _is_finite((outcome.point, outcome.values))):
@@ -82,11 +82,14 @@ class Judge:
         weights, scales = np.abs(outcome.rows), outcome.scales
         if not weights.any():
             return None
-        # Others have a share of the barrier for their multiplier, and a whole move may change them without end.
+        # Other rows receive a multiplier from the barrier, and a whole move may change them arbitrarily.
         binds = self._shooting.equality | (np.abs(outcome.scaled_rows) * scales.rows >= outcome.slack)
         weights = np.where(binds & ~self._norm_bounds, weights, 0.0)
         step, sizes = self._staged.step(scales.d, scales.u, scales.border), np.zeros_like(weights)
-        for length, seen in ((_SMALL, 1.0), (1.0, ~self._cones)):  # a whole move shows what is flat to several orders
+        for length, seen in (
+            (_SMALL, 1.0),
+            (1.0, ~self._cones),
+        ):  # a whole move detects gradients that vanish to several orders
             look = self._close.changes(z, step, length)
             sizes = np.maximum(sizes, seen * weights * look.rows / look.cost if look.cost > 0.0 else 0.0)
         row = int(sizes.argmax())

@@ -1,4 +1,4 @@
-"""Results of the solver's core in the terms of the problem: rows, multipliers, errors, a status."""
+"""Results of the solver's core in terms of the problem: rows, multipliers, errors and status."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from .integration import CloseIntegration
 from .outcome import Errors, Outcome, Scales
 from .status import Status
 
-#: The core's unit of the objective over what moves of all unknowns by their sizes change of it: the barrier parameter
-#: begins at 0.1 of that unit.
+#: The ratio of the core's unit of the objective to its change under moves of all unknowns by their sizes. The barrier
+#: parameter starts at 0.1 of that unit.
 COST = 0.02
-#: A result is acceptable within so many tolerances.
+#: A result is acceptable within this multiple of the tolerance.
 _ACCEPTABLE = 100.0
 
-#: What the core says, in the words of this package.
+#: The exit status of the core as a `Status`.
 _STATUS = {
     CoreStatus.SOLVED: Status.SOLVED,
     CoreStatus.MAX_ITERATIONS: Status.MAX_ITERATIONS,
@@ -32,10 +32,10 @@ _STATUS = {
 
 
 class Measure:
-    """Measures results of the core.
+    """Measures the errors of results of the core.
 
     Args:
-        tolerance: of the first-order conditions, scaled.
+        tolerance: tolerance of the scaled first-order conditions.
     """
 
     def __init__(self, staged: Staged, close: CloseIntegration, tolerance: float) -> None:
@@ -43,11 +43,13 @@ class Measure:
 
     @property
     def has_determined_rows(self) -> bool:
-        """Whether the ends alone determine a row."""
+        """Whether fixed initial or final values alone determine a row."""
         return bool((self._transcribed.determined & ~self._transcribed.redundant).any())
 
     def violated_at_once(self, point: Iterate, instance: Instance, units: StartUnits) -> float:
-        """The largest scaled violation of rows that the ends alone determine, so that no trajectory changes them."""
+        """The largest scaled violation of rows that fixed initial or final values determine, so that no trajectory can
+        satisfy them.
+        """
         if not self.has_determined_rows:
             return 0.0
         problem = self._transcribed
@@ -56,7 +58,7 @@ class Measure:
         return float(np.where(problem.determined & ~problem.redundant, violated, 0.0).max(initial=0.0))
 
     def row_sizes(self, units: StartUnits) -> Array:
-        """Sizes of all rows; a row that is not in the core has the size of another row of its name."""
+        """Sizes of all rows; a row that the core does not have has the size of another row of the same name."""
         problem = self._transcribed
         sizes = self._staged.all_rows(units.rows, units.equalities, units.v, units.v)
         for name in np.unique(problem.names[(sizes <= 0.0) & problem.determined].astype(str)):
@@ -86,7 +88,7 @@ class Measure:
         status: Status | None = None,
         warm: bool = False,
     ) -> Outcome:
-        """The outcome of a run, with the status of the core unless another one is known."""
+        """The outcome of a run, with the status of the core unless another status applies."""
         staged, problem, numbers = self._staged, self._transcribed, result.statistics
         at, point = Evaluated(staged.transcription, result.z), staged.point(result.z)
         lower, upper = staged.limits(staged.coordinates(result.z), instance)

@@ -1,4 +1,4 @@
-"""Other starts for a search: perturbed guesses, and random steps from a point where it stalled."""
+"""Restart points of a search: perturbed guesses, and random steps from a point at which the search stalled."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from ..transcription.iterate import Instance, Iterate, Step
 from .core_solver import CoreSolver
 from .outcome import Scales
 
-#: Moves of states and controls in their sizes; how much larger than sizes, or than those of the guess, gaps may be, and
-#: shares of a move to them.
+#: Sizes of perturbations of states and controls; the largest ratios of defects to their sizes and to those of the
+#: guess; and fractions of a perturbation that are tried.
 _MOVES, _LARGEST_GAP, _SHARES = (0.4, 0.15), 30.0, tuple(0.5**k for k in range(11))
 
 
 def perturbed(solver: CoreSolver, point: Iterate, instance: Instance, rng: np.random.Generator) -> Iterate:
-    """A point with a random step in every free entry of states, controls and shared unknowns.
+    """A point after a random step in every free entry of states, controls and shared unknowns.
 
-    The step is halved until gaps of the dynamics there are finite and no more than a few times those at the point: what
-    is exponential in a state, as air is in a height, else makes starts that mean nothing.
+    The step is halved until the defects of the dynamics are finite and at most a few times those at the point. Without
+    this limit, quantities that are exponential in a state, as air density is in altitude, make the start unusable.
     """
     staged, free, units = solver.staged, solver.transcribed.free, solver.units(point, instance, is_guess=True)
     z, scales = staged.flat(point), solver.measure.scales(units)
@@ -45,7 +45,7 @@ def perturbed(solver: CoreSolver, point: Iterate, instance: Instance, rng: np.ra
 def beside(
     solver: CoreSolver, point: Iterate, scales: Scales, size: float, seed: int, controls_alone: bool = False
 ) -> Iterate:
-    """The point after a random step; of the controls alone if that is asked for and there are controls."""
+    """The point after a random step; of the controls only if requested and if there are controls."""
     rng, problem = np.random.default_rng(seed), solver.transcribed
     u = np.where(problem.free.u, size * rng.normal(size=problem.free.u.shape) * scales.u, 0.0)
     d = np.where(problem.perturbable, size * rng.normal(size=problem.free.d.shape) * scales.d, 0.0)

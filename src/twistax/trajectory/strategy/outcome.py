@@ -1,4 +1,4 @@
-"""The end of a solve, and what is known about it."""
+"""The outcome of a run of the solver."""
 
 from __future__ import annotations
 
@@ -15,12 +15,13 @@ from ..transcription.iterate import Iterate, Values
 from .accuracy import Accuracy, FlatRow
 from .status import Status
 
-#: Called with (iterations so far, objective, largest violation) before every step; True ends the search.
+#: Called with (number of iterations, objective, largest violation) before every step; ends the search by returning
+#: True.
 Callback = Callable[[int, float, float], Any]
 
 
 class Scales(NamedTuple):
-    """Sizes by which unknowns, rows and the objective are divided."""
+    """Scales by which unknowns, rows and the objective are divided."""
 
     d: Any  # (nodes, n)
     u: Any  # (intervals, m)
@@ -34,14 +35,14 @@ class Errors(NamedTuple):
 
     stationarity: Any
     feasibility: Any
-    complementarity: Any  # largest s w
-    gap: Any  # sum of s w and of |multiplier times violation|: what they can cost
-    excess: Any  # of the objective over that of the minimum nearby, relative
+    complementarity: Any  # largest s w (product of a slack and its multiplier)
+    gap: Any  # sum of s w and of |multiplier times violation|: their possible effect on the objective
+    excess: Any  # relative difference of the objective from that of the minimum nearby
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Outcome:
-    """The end of a run of the solver."""
+    """The outcome of a run of the solver."""
 
     point: Iterate
     values: Values
@@ -50,18 +51,18 @@ class Outcome:
     rows: Array  # (rows,)
     scaled_rows: Array  # (rows,) multipliers, scaled
     slack: Array  # (rows,) in the problem's units
-    violations: Array  # (intervals * n + rows,) scaled: of the dynamics, then of the rows
+    violations: Array  # (intervals * n + rows,) scaled: those of the dynamics, then those of the rows
     scales: Scales
     status: Status
     iterations: int
-    accuracy: Accuracy | None = None  # of the mesh; None before its check, and of points that are not finite
+    accuracy: Accuracy | None = None  # mesh accuracy; None before its check, and for points that are not finite
     units: StartUnits | None = None  # of the solver
-    flat: FlatRow | None = None  # a row without slope
-    saddle: bool = False  # whether the objective falls to second order from there, and no search beside it found better
-    refusal: str = ""  # why it was not solved
+    flat: FlatRow | None = None  # a row whose gradient vanishes
+    saddle: bool = False  # whether the objective decreases to second order, and restarts found no better point
+    refusal: str = ""  # the reason why the case was not solved
 
     def refused(self, refusal: str) -> Outcome:
-        """The outcome of a case that was not solved, with the same shapes: all numbers are NaN."""
+        """The outcome of an invalid case: arrays of the same shapes, with all numbers NaN."""
         names = [field.name for field in dataclasses.fields(self) if field.default is dataclasses.MISSING]
         numbers = {name: getattr(self, name) for name in names if name not in ("status", "iterations")}
         nothing = jax.tree.map(lambda a: np.full(np.shape(a), np.nan) if np.ndim(a) else np.nan, numbers)

@@ -1,4 +1,4 @@
-"""Inequalities at a node that the equalities there determine, so that they have no interior."""
+"""Redundant inequalities at a node: the equalities there determine them, so they have no interior."""
 
 from __future__ import annotations
 
@@ -14,14 +14,16 @@ from ..transcription.iterate import Instance, Iterate
 from ..transcription.staged import Staged
 from ..transcription.staged_phase import StagedPhase
 
-#: Random points, and how far from the start their tangents are.
+#: The number of random points, and the distance of their tangents from the start.
 _SAMPLES, _MOVE = 2, 0.3
 
 
 def redundant_rows(staged: Staged, start: Iterate, instance: Instance) -> list[Array]:
-    """For each phase the inequalities at nodes whose slopes lie in the span of those of the equalities there.
+    """For each phase, the inequalities at nodes whose gradients are linear combinations of those of the equalities
+    there.
 
-    They count if it is so at all samples, with these parameters and with others: the next solve may have those.
+    They are redundant if this holds at all samples, with these parameters and with perturbed ones, because the next
+    solve may use others.
     """
     samples = list(_samples(staged, start, instance))
     return [_of_part(staged, number, samples) for number in range(len(staged.parts))]
@@ -47,7 +49,7 @@ def _samples(staged: Staged, start: Iterate, instance: Instance) -> Iterator[Eva
 
 
 def _stirred(rng: np.random.Generator, values: Any) -> Array:
-    """Numbers perturbed at random, by at most a third of their size; zeros become nonzero."""
+    """Numbers after random perturbations by at most a third of their size; zeros become nonzero."""
     here = np.asarray(values, float)
     return np.asarray(here + rng.uniform(0.1, 0.3, here.shape) * np.where(here == 0.0, 1.0, here))
 
@@ -72,7 +74,7 @@ def _of_part(staged: Staged, number: int, samples: Sequence[Evaluated]) -> Array
 
 
 def _places(staged: Staged, number: int) -> list[Array]:
-    """Of all rows of a phase the number among the inequalities, and among the equalities, of the problem; else -1."""
+    """For all rows of a phase, the index among the problem's inequalities and among its equalities; -1 for none."""
     stages, segment = staged.transcription.stages, staged.transcribed.segments[number]
     h, e, none = np.arange(sum(stages.inequalities)), np.arange(sum(stages.equalities)), np.zeros(stages.variables)
     both = (staged.all_rows(h + 1, 0 * e, none, none), staged.all_rows(0 * h, e + 1, none, none))
@@ -80,7 +82,7 @@ def _places(staged: Staged, number: int) -> list[Array]:
 
 
 def _slopes(part: StagedPhase, k: int, rows: Array, places: Sequence[Array], at: Evaluated) -> Array:
-    """Derivatives of the rows at a node by the unknowns of its stage; zero for those that do not exist."""
+    """Derivatives of the rows at a node with respect to the unknowns of its stage; zero for rows that do not exist."""
     stages, stage = at.stages, part.stages.start + k
     slopes = np.zeros((len(rows), stages.columns[stage]))
     for flat, counts, place in zip((at.Jh, at.Je), (stages.inequalities, stages.equalities), places):
@@ -88,19 +90,19 @@ def _slopes(part: StagedPhase, k: int, rows: Array, places: Sequence[Array], at:
         slopes[there] = at.blocks(flat, counts)[stage][place[rows][there] - sum(counts[:stage])]
     n, inner, here = part.shooting.n, part.shooting.n + stages.controls[stage], np.isin(part.bounds.rows, rows)
     for row, column in zip(part.bounds.rows[here], part.bounds.columns[here]):
-        # What stands for the border comes after the controls, of which the last node has none.
+        # The columns of shared unknowns follow those of the controls, which the last node does not have.
         shared = column - n - part.shooting.m
         slopes[rows == row, column if shared < 0 else inner + shared] = 1.0
     return slopes
 
 
 def _spanned(equality: Array, inequality: Array, fixed: Array, samples: Sequence[Array]) -> Array:
-    """(rows,) the inequalities whose slopes lie in the span of those of the equalities and of fixed unknowns.
+    """(rows,) the inequalities whose gradients lie in the span of those of the equalities and of the fixed unknowns.
 
     Args:
-        equality, inequality: (rows,) which they are, of those that exist.
-        fixed: (k, n) tangents that do not move.
-        samples: slopes of the rows, (rows, unknowns).
+        equality, inequality: (rows,) the kind of each row that exists.
+        fixed: (k, n) the tangents that do not move.
+        samples: gradients of the rows, (rows, unknowns).
     """
     redundant = inequality.copy()
     if not (equality.any() or len(fixed)) or not redundant.any() or not samples:
@@ -108,7 +110,7 @@ def _spanned(equality: Array, inequality: Array, fixed: Array, samples: Sequence
     seen = np.zeros_like(redundant)
     fixed = np.pad(fixed, ((0, 0), (0, samples[0].shape[1] - fixed.shape[1])))
     for slopes in samples:
-        # A random sample may lie where a row has no slopes; another sample decides.
+        # At a random sample the gradient of a row may vanish; another sample decides.
         there = np.isfinite(slopes).all(axis=1)
         rows = np.where(there[:, None], slopes, 0.0)
         base, columns = np.concatenate([fixed, rows[equality]]).T, rows.T

@@ -31,9 +31,9 @@ class Status(enum.Enum):
         return f"{self.name}: {self.value}"
 
     def __reduce_ex__(self, protocol: Any) -> Any:
-        """By name, in pickles and copies: sentences change."""
+        """Pickles and copies use the name, because the sentences may change between versions."""
         return getattr, (type(self), self.name)
 
 
-#: Statuses of points where the first-order conditions hold on the mesh, some in numbers alone.
+#: Statuses of points at which the first-order conditions hold on the mesh, in some cases only numerically.
 AT_OPTIMUM = (Status.SOLVED, Status.EXCEEDED, Status.ACCEPTABLE, Status.COARSE, Status.DEGENERATE)

@@ -1,4 +1,4 @@
-"""Dynamics too stiff for explicit steps, and the implicit transcription in place of them."""
+"""Dynamics that are too stiff for explicit steps, and the implicit transcription that replaces explicit steps."""
 
 from __future__ import annotations
 
@@ -19,28 +19,31 @@ from ..transcription.staged import Staged
 #: The product of an eigenvalue of the rates and a step above which RK4 is not stable.
 #: Source: Hairer and Wanner, Solving ordinary differential equations II (1996), section IV.2.
 LARGEST = 2.8
-#: The transcription that is tried then: it damps what is fast.
+#: The transcription that is tried in that case; it damps fast modes.
 IMPLICIT, IMPLICIT_NAME = Collocation(tableaus.RADAU_IIA5), "Collocation(tx.tableaus.RADAU_IIA5)"
 
 
 #: The factor above which a mode that does not grow counts as amplified by a step.
 _AMPLIFIES = 1.2
-#: Radii and angles at which stability functions are looked at.
+#: Radii and angles at which stability functions are evaluated.
 _RADII, _ANGLES = np.linspace(0.02, 5.0, 250), 181
 
 
 def stiffness(staged: Staged, point: Iterate, instance: Instance) -> float:
-    """The largest product of an eigenvalue of the rates' Jacobian, at a node, and a substep; of explicit phases."""
+    """The largest product of an eigenvalue of the rates' Jacobian at a node and the substep, over all phases with
+    explicit steps.
+    """
     explicit = [z for part, z in zip(staged.parts, _modes(staged, point, instance)) if not part.phase.method.implicit]
     return max((float(np.abs(z).max(initial=0.0)) for z in explicit), default=0.0)
 
 
 def amplification(staged: Staged, point: Iterate, instance: Instance) -> list[Array]:
-    r"""For each phase (intervals,) the factor by which a substep amplifies a mode that does not grow; 1 if it is small.
+    r"""For each phase (intervals,) the factor by which a substep amplifies a mode that does not grow in the exact
+    solution; 1 if the product of eigenvalue and substep is small.
 
     A Runge-Kutta method multiplies a mode with eigenvalue $\lambda$ by $R(z) = \det(I - z A + z 1 b^T) / \det(I - z A)$
-    with $z = \lambda h$, the equation by $e^z$. Where $|R| > \max(1, |e^z|)$ the optimum of a mesh avoids what moves
-    the mode: its trajectory may follow the equation, and yet be no optimum of it.
+    with $z = \lambda h$; the exact solution multiplies it by $e^z$. If $|R| > \max(1, |e^z|)$, the optimiser avoids
+    controls that excite the mode, so the trajectory may satisfy the equation without being optimal.
     Source: Hairer and Wanner, Solving ordinary differential equations II (1996), section IV.3.
     """
     amplified = []
@@ -55,8 +58,8 @@ class _StabilityFunction(NamedTuple):
     r"""The stability function $R(z)$ of a method, a quotient of two polynomials.
 
     Attributes:
-        above, below: their coefficients, the highest power first.
-        radius: a method amplifies no mode by `_AMPLIFIES` within this radius.
+        above, below: the coefficients of both, the highest power first.
+        radius: within this radius, the method amplifies no mode by more than `_AMPLIFIES`.
     """
 
     above: Array
@@ -89,10 +92,11 @@ def _stability_function_of(a_bytes: bytes, b_bytes: bytes) -> _StabilityFunction
 
 
 def _modes(staged: Staged, point: Iterate, instance: Instance, least: Sequence[float] | None = None) -> list[Array]:
-    """For each phase (intervals, n) eigenvalues of the rates' Jacobian at the first node times a substep, or zero.
+    """For each phase (intervals, n) the products of substep and eigenvalues of the rates' Jacobian at the first node,
+    or zero.
 
     Args:
-        least: of each phase, a radius within which eigenvalues may count as zero.
+        least: for each phase, the radius within which eigenvalues may be replaced by zero.
     """
     staged.set_instance(instance)
     data, every = staged.numbers.vector(instance), list[Array]()

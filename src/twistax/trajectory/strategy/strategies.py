@@ -1,6 +1,7 @@
-"""Strategies around a solver that goes to the nearest point that meets the first-order conditions.
+"""Strategies in addition to a local solver, which converges to a nearby point that satisfies the first-order
+conditions.
 
-Each uses the solver as it is, from another start or in other units.
+Each strategy runs the unmodified solver from another start or in other units.
 """
 
 from __future__ import annotations
@@ -21,25 +22,26 @@ from .outcome import Outcome, Scales
 from .status import AT_OPTIMUM, Status
 from .warm import WarmStart
 
-#: No unit of the objective at the end of a run is a smaller share of the one before.
+#: The smallest ratio of the unit of the objective at the end of a run to the unit before.
 _SMALL = 1e-6
-#: A failed run is repeated from its end where units there are so many times as large, or as small.
+#: A failed run is repeated from its end if a unit there has changed by more than this factor.
 _FAR = 1e3
-#: Iterations that one run may take: those left of the default are for other strategies.
+#: The iterations that one run may take, so that some of the default limit remain for other strategies.
 _MOST = 500
-#: Where no step helps: steps aside from the start, in sizes, for other runs, and how many.
+#: If no step helps: sizes of random steps from the start of further runs, and the number of these runs.
 _ASIDE, _ASIDE_TIMES = 0.01, 2
-#: Runs that end so may have been led there by durations that are free.
+#: Exit statuses that free durations may have caused.
 _AT_REST = {Status.INFEASIBLE, Status.STALLED, Status.MAX_ITERATIONS}
-#: Runs that end so at a lower objective than that of a saddle count; others do where they meet every constraint.
+#: Runs with these exit statuses are accepted at an objective below that of a saddle; others only if they satisfy every
+#: constraint.
 _BETTER = (Status.SOLVED, Status.UNBOUNDED)
-#: Steps away from a solution that is no minimum, in sizes: a longer one where the search comes back.
+#: Sizes of steps away from a saddle point; a longer one follows if the search returns to the saddle.
 _AWAY = (0.1, 0.3, 1.0)
 
 
 class Strategy(enum.Enum):
-    """Strategies of `Problem.solve` in addition to a single run of the interior-point method. All are used unless
-    `strategies=` lists some.
+    """Strategies of `Problem.solve` in addition to a single run of the interior-point method. By default all are used;
+    `strategies=` selects some.
     """
 
     RESCALING = (
@@ -55,7 +57,7 @@ class Strategy(enum.Enum):
     LOWERED_RELAXATIONS = "complementarity constraints are relaxed at first, and less in each further solve"
 
     def __reduce_ex__(self, protocol: Any) -> Any:
-        """By name, in pickles and copies: sentences change."""
+        """Pickles and copies use the name, because the sentences may change between versions."""
         return getattr, (type(self), self.name)
 
 
@@ -66,17 +68,17 @@ def solved(
     budget: Budget,
     strategies: Collection[Strategy] = tuple(Strategy),
 ) -> Outcome:
-    """A solve from a start, with units that fit its result, continued to a minimum if one is near."""
+    """A solve from a start in suitable units, continued to a minimum if one is nearby."""
     return _Search(solver, budget, strategies, limited=bool(strategies) and isinstance(start, Iterate)).run(
         start, instance
     )
 
 
 class _Search:
-    """Runs of the solver from one start.
+    """The runs of the solver from one start.
 
     Args:
-        limited: whether a run leaves iterations for other strategies.
+        limited: whether each run must leave iterations for other strategies.
     """
 
     def __init__(self, solver: CoreSolver, budget: Budget, strategies: Collection[Strategy], *, limited: bool) -> None:
@@ -85,20 +87,20 @@ class _Search:
     def run(self, start: Iterate | WarmStart, instance: Instance) -> Outcome:
         """Apply the strategies in turn until the search reaches an optimum."""
         result = self._near(start, instance)
-        at_once = result.status is Status.INFEASIBLE and result.iterations <= 1  # before the first step
+        at_once = result.status is Status.INFEASIBLE and result.iterations <= 1  # called before the first step
         if at_once or isinstance(start, WarmStart):
             return dataclasses.replace(result, iterations=self._budget.used)
         if self._may_repeat(result, Strategy.FITTED_DURATIONS, _AT_REST | {Status.NON_FINITE}):
             result = self._at_fitted_durations(result, start, instance)
         repeats: dict[Strategy, dict[str, bool]] = {
-            Strategy.STATED_SCALES: {"as_stated": True},  # those of a statement are often well chosen
-            Strategy.RESCALING: {"rescaling": False},  # an iterate may say less about units than its start
+            Strategy.STATED_SCALES: {"as_stated": True},  # the units of the statement are often well chosen
+            Strategy.RESCALING: {"rescaling": False},  # the units at an iterate may be worse than those at its start
         }
         for strategy, options in repeats.items():
             if self._may_repeat(result, strategy):
                 again = self._once(start, instance, **options)
                 result = self._at_minimum(again, instance) if again.status in AT_OPTIMUM else result
-        for seed in range(_ASIDE_TIMES):  # where a row has no slope at the start, no step helps
+        for seed in range(_ASIDE_TIMES):  # if the gradient of a row vanishes at the start, no step helps
             if self._may_repeat(result, Strategy.PERTURBED_STARTS):
                 other = self._near(other_starts.beside(self._solver, start, result.scales, _ASIDE, seed), instance)
                 result = other if other.status in AT_OPTIMUM else result
@@ -119,9 +121,10 @@ class _Search:
         return dataclasses.replace(result, status=budget.ended or result.status) if is_stopped else result
 
     def _fitting(self, start: Any, instance: Instance) -> Outcome:
-        """A run; one that fails goes on from its end in the units there, if those of its start were far off.
+        """A run. If it fails, it continues from its end in the units measured there, provided that they differ much
+        from those of its start.
 
-        What it changes: an exponential of a state that is far away at the start has a unit of 1e21.
+        This helps, for example, if an exponential of a state that is far away at the start has a unit of 1e21.
         """
         result = self._once(start, instance)
         if not self._may_repeat(result, Strategy.RESCALING):
@@ -153,7 +156,7 @@ class _Search:
 
 
 def _are_far(solver: CoreSolver, fresh: StartUnits, used: Scales) -> bool:
-    """Whether units of states or controls differ from those at a result by a large factor."""
+    """Whether the units of states or controls differ from those at a result by a large factor."""
     known = solver.measure.scales(fresh)
     ratios = [np.ravel(known.d / used.d)]
     for part, sizes in zip(solver.transcribed.segments, fresh.parts):
@@ -168,7 +171,7 @@ def at_a_minimum(
     result: Outcome,
     is_over: Callable[[], bool] = lambda: False,
 ) -> Outcome:
-    """The result; from a saddle point, a better one that searches from perturbed points reach.
+    """The result; or, if it is a saddle point, a better one that searches from perturbed points reach.
 
     Args:
         is_over: whether no further search may start.

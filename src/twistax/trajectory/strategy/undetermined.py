@@ -15,27 +15,27 @@ from ..transcription.staged import Staged
 from ..transcription.staged_phase import StagedPhase
 from .warm import WarmStart
 
-#: A move of all controls by their sizes changes the objective by less than this share of its unit; rows hold whose
-#: multipliers, scaled, are larger.
+#: An undetermined move of all controls by their sizes changes the objective by less than this fraction of its unit.
+#: Rows with larger scaled multipliers count as active.
 _LITTLE = 1e-6
-#: A control is free to move where so much of a move of it alone is left by what holds.
+#: A control is undetermined if the active constraints leave this fraction of a move of it alone.
 _SHARE = 0.3
-#: Singular values of rows below this share of the largest are rounding.
+#: Singular values of rows below this fraction of the largest are round-off.
 _ROUNDING = 1e-9
 #: Problems with more free unknowns than this are skipped.
 _MOST = 1000
-#: The proposed weight adds this share to the objective where a control is at its size all along.
+#: The proposed weight adds this fraction to the objective if a control has its typical size along the whole path.
 _PRICE = 1e-3
 
 
 class Undetermined(NamedTuple):
-    """An entry of a control that may move along an optimum at no cost.
+    """An entry of a control that can change along an optimum at no cost.
 
     Attributes:
-        name: of the entry, with that of its phase in front.
-        entry: the same without.
-        free_share: (intervals,) from 0 to 1, the share of a change of it alone that has no effect.
-        weight: of its square in the running cost that decides it.
+        name: the name of the entry, prefixed with the name of the phase.
+        entry: the name without the prefix.
+        free_share: (intervals,) from 0 to 1, the fraction of a change of this entry alone that has no effect.
+        weight: a weight of its square in the running cost that determines it.
     """
 
     name: str
@@ -54,13 +54,14 @@ def undetermined(
 ) -> list[Undetermined]:
     """The controls that a solution does not determine, to second order.
 
-    Moves are those of initial states, controls, times and parameters along the linearised dynamics, on which equalities
-    and the active inequalities hold. Those whose second derivative of the Lagrangian nearly vanishes span what is not
-    determined; a control is not where the projection of a move of it alone on these is long.
-    Source: Nocedal and Wright, Numerical Optimization (2006), theorem 12.6, for what a strict minimum has.
+    Moves are linear combinations of initial states, controls, times and parameters along the linearised dynamics that
+    keep the equalities and active inequalities. Moves for which the second derivative of the Lagrangian nearly vanishes
+    span the undetermined subspace. A control is undetermined if the projection of a move of it alone on this subspace
+    is long.
+    Source: Nocedal and Wright, Numerical Optimization (2006), theorem 12.6 (sufficient conditions of a strict minimum).
 
     Args:
-        derivatives: of each phase: name of a held derivative of a control -> what it is.
+        derivatives: for each phase: name of a piecewise constant derivative of a control -> its expression.
     """
     staged.set_instance(instance)
     scales, sizes = warm.scales, _control_sizes(staged, warm)
@@ -84,7 +85,7 @@ def undetermined(
 
 
 def _control_sizes(staged: Staged, warm: WarmStart) -> Array:
-    """(intervals, m) the unit of each control, or its largest size in the phase if that is larger."""
+    """(intervals, m) the unit of each control, or its largest value in the phase if that is larger."""
     sizes, us = np.array(warm.scales.u), np.abs(warm.point.us)
     for part in staged.parts:
         rows = slice(part.stages.start, part.stages.stop - 1)
@@ -97,7 +98,7 @@ def _intervals(part: StagedPhase) -> range:
 
 
 def _entries(part: StagedPhase, derivatives: Mapping[str, str]) -> Iterator[tuple[str, int]]:
-    """The entries of controls, without what stands for norms and slacks, and their columns."""
+    """The entries of controls and their columns, without the controls that represent bounds of norms and slacks."""
     phase = part.shooting
     shapes = {c.name: c.shape for c in phase.dynamics.controls}
     for name, columns in phase.local.controls.slices.items():
@@ -107,14 +108,14 @@ def _entries(part: StagedPhase, derivatives: Mapping[str, str]) -> Iterator[tupl
 
 
 class _Moves:
-    """All unknowns as first-order functions of the free ones, in units; and the second derivative of the Lagrangian.
+    """All unknowns as linear functions of the free ones, in units; and the second derivative of the Lagrangian.
 
     Args:
         controls: sizes of the controls.
 
     Attributes:
-        places: of each stage, where its own columns are chosen; -1 where they are not.
-        hessian: (count, count) by what is chosen.
+        places: for each stage, the indices of its columns among the free unknowns; -1 for columns that are not free.
+        hessian: (count, count) with respect to the free unknowns.
     """
 
     def __init__(self, staged: Staged, warm: WarmStart, controls: Array) -> None:
@@ -139,7 +140,7 @@ class _Moves:
         numbers = np.where(decides, np.cumsum(decides) - 1, -1)
         self.count = int(decides.sum())
         self.places = [numbers[columns] for columns in self._columns]
-        #: Of each stage (columns, count), in units.
+        #: For each stage (columns, count), in units.
         self.maps: list[Array] = []
         self.hessian = np.zeros((self.count, self.count))
         if self.count > _MOST:

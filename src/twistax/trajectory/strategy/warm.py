@@ -24,11 +24,11 @@ class WarmStart:
 
     Attributes:
         problem: the problem that was solved.
-        point: states, controls with the bounds on norms among them, times and free parameters.
-        dynamics, rows: multipliers in the problem's units.
-        scales: of unknowns, rows and objective.
-        params: the parameters of that solve.
-        units: of the solver, if they are known and fit the problem.
+        point: states, controls including the bounds on norms, times and free parameters.
+        dynamics, rows: their multipliers, in the problem's units.
+        scales: scales of unknowns, rows and objective.
+        params: the parameter values of that solve.
+        units: the units of the solver, if they are known and fit the problem.
     """
 
     problem: Any
@@ -44,19 +44,25 @@ class WarmStart:
         are integrated.
 
         Raises:
-            TrajectoryError: steps is not a positive whole number; intervals are not equally long.
+            TrajectoryError: `steps` is not a positive whole number; interval lengths differ.
         """
         whole("steps", steps, 1, TrajectoryError)
         point = self.point
         if isinstance(point.xs, tuple):
-            raise TrajectoryError("shifted: the next interval is in another phase; it needs a problem of one phase")
+            raise TrajectoryError(
+                "shifted: the problem has several phases, and only a problem of one phase can be shifted"
+            )
         if self.problem is None:
-            raise TrajectoryError("shifted: the warm start has no problem")
+            raise TrajectoryError(
+                "shifted: the warm start has no problem.\n  fix: use result.shifted() of a result of problem.solve"
+            )
         (problem,) = self.problem.parts
         shooting = problem.shooting
         if not problem.mesh.is_even:
-            raise TrajectoryError("shifted: intervals have different lengths; it needs nodes at equal distances")
-        # Linear controls stay as they are.
+            raise TrajectoryError(
+                "shifted: intervals have different lengths.\n  fix: use a mesh with nodes at equal distances"
+            )
+        # Linear controls are not changed.
         split = shooting.local.controls.split
         still = {name: np.asarray(a) for name, a in problem.continuous.at_rest(split(np.ones(shooting.m))).items()}
         rest = point.us[-1] * np.concatenate([np.zeros(0), *(a.ravel() for a in still.values())])
@@ -80,19 +86,19 @@ class WarmStart:
 
 
 def _moved_on(values: Array, steps: int) -> Array:
-    """Values that many intervals later; the last one repeats."""
+    """Values shifted by a number of intervals; the last one is repeated."""
     return values[np.minimum(np.arange(len(values)) + steps, len(values) - 1)]
 
 
 def warm_start(value: Any) -> WarmStart:
-    """A warm start as it is, or that of a result.
+    """The argument itself if it is a warm start; else the warm start of a result.
 
     Raises:
-        TrajectoryError: it is neither.
+        TrajectoryError: the argument is neither.
     """
     warm = value if isinstance(value, WarmStart) else getattr(value, "warm", None)
     if not isinstance(warm, WarmStart):
-        raise TrajectoryError(f"solve: warm must be a result, or what result.shifted() gives; got {short(value)}")
+        raise TrajectoryError(f"solve: warm expects a result or result.shifted(), got {short(value)}")
     arrays = [*jax.tree.leaves(warm.point), warm.dynamics, warm.rows]
     if not all(np.isfinite(np.asarray(a)).all() for a in arrays):
         raise TrajectoryError("solve: warm has values that are not finite\n  fix: solve from a guess")
@@ -100,10 +106,10 @@ def warm_start(value: Any) -> WarmStart:
 
 
 def with_ends(warm: WarmStart, problem: Any, ends: Any, instance: Instance) -> WarmStart:
-    """The warm start at other ends, and within the limits of times and free parameters.
+    """The warm start with other initial and final values, projected onto the limits of times and free parameters.
 
     Raises:
-        TrajectoryError: it is of a problem with other states, controls, nodes or constraints.
+        TrajectoryError: it belongs to a problem with other states, controls, nodes or constraints.
     """
     shooting, point = problem.shooting, warm.point
     shapes = [np.shape(a) for a in (point.us, warm.dynamics, warm.rows, point.border)]
@@ -117,7 +123,7 @@ def with_ends(warm: WarmStart, problem: Any, ends: Any, instance: Instance) -> W
 
 
 def _at_ends(problem: Any, xs: Any, ends: Any) -> Any:
-    """States at the nodes with what ends fix in place."""
+    """States at the nodes in which fixed initial and final entries have their values."""
     if problem.alone:
         return problem.parts[0].at_ends(xs, ends[0])
     if not isinstance(xs, tuple) or len(xs) != len(problem.parts):
@@ -126,7 +132,7 @@ def _at_ends(problem: Any, xs: Any, ends: Any) -> Any:
 
 
 def other_problem() -> TrajectoryError:
-    """The error for a warm start of another problem."""
+    """The error for a warm start from another problem."""
     return TrajectoryError(
         "solve: warm must be of a problem with the same states, controls, nodes and constraints.\n"
         "  fix: give its xs and us as guess"

@@ -1,4 +1,4 @@
-"""The unknowns that all intervals share, in one vector b: the duration of each phase, then the free parameters."""
+"""The unknowns that all intervals share, as one vector b: the duration of each phase, then the free parameters."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from ...linear.free_parameters import boxes_of, limits_of
 from ...system import entry_names, name_of
 from ...units import same_unit, seconds
 
-#: Limits of a time that are further apart than this leave it open how long things take, but for the order of magnitude.
+#: Limits of a time whose ratio is larger than this determine the time only up to its order of magnitude.
 _WIDE = 100.0 * (1.0 + 1e-9)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Border:
-    """The places of durations and free parameters in b, and their limits.
+    """The layout of durations and free parameters in b, and their limits.
 
     Attributes:
-        times: what the duration of each phase is called.
-        time_limits: (phases, 2), equal where a duration is fixed.
-        boxes: the free parameters, each with its box.
+        times: the name of the duration of each phase.
+        time_limits: (phases, 2), equal for a fixed duration.
+        boxes: the free parameters with their limits.
     """
 
     times: tuple[str, ...]
@@ -41,7 +41,7 @@ class Border:
 
     @functools.cached_property
     def limits(self) -> Array:
-        """(g, 2), infinite without a limit."""
+        """(g, 2) the limits; infinite for entries without a limit."""
         return np.concatenate([np.reshape(self.time_limits, (-1, 2)), *map(limits_of, self.boxes)])
 
     @property
@@ -54,7 +54,7 @@ class Border:
 
     @property
     def free(self) -> Array:
-        """(g,) which entries may move."""
+        """(g,) the entries that may change."""
         return self.limits[:, 0] < self.limits[:, 1]
 
     @functools.cached_property
@@ -74,7 +74,7 @@ class Border:
 
     @functools.cached_property
     def unknown(self) -> Array:
-        """(g,) which entries are unknowns of the solver: all but fixed durations."""
+        """(g,) the entries that are unknowns of the solver: all but fixed durations."""
         return self.free | (np.arange(self.size) >= self.phases)
 
     @property
@@ -82,7 +82,7 @@ class Border:
         return int(self.unknown.sum())
 
     def complete(self, unknowns: Any, limits: Any) -> Any:
-        """b from its unknowns, and from limits (g, 2), which are the values of fixed durations."""
+        """The vector b from its unknowns and the limits (g, 2), which are the values of fixed durations."""
         of_times, xp = self.unknown[: self.phases], np if isinstance(unknowns, np.ndarray) else jnp
         places = np.cumsum(of_times) - 1
         times = [unknowns[i : i + 1] if known else limits[k, :1] for k, (i, known) in enumerate(zip(places, of_times))]
@@ -98,11 +98,11 @@ class Border:
         return Controls(self.boxes).split(b[self.phases :])
 
     def limited(self, times: Array, free: Any) -> Array:
-        """(g, 2) limits with other limits of the durations, and of free parameters by leaf or name.
+        """The limits (g, 2) with other values for durations, and for free parameters by leaf or name.
 
         Raises:
-            ModelError: as `boxes_of`, for parameters that are not free.
-            TrajectoryError: limits on other sides, or without a distance.
+            ModelError: as in `boxes_of`, for parameters that are not free.
+            TrajectoryError: limits on other sides, or low not below high.
         """
         limits = np.concatenate([np.reshape(times, (-1, 2)), self.limits[self.phases :]])
         places = Controls(self.boxes).slices
@@ -110,7 +110,7 @@ class Border:
             if name not in places:
                 raise ModelError(
                     f"solve: free names {name!r}; the problem leaves free: {listed(places, name)}\n"
-                    "  fix: state the problem with free="
+                    "  fix: declare the parameter in free= of the problem"
                 )
         for box in boxes_of(free, [Parameter(box.name, box.shape) for box in self.boxes], ()):
             part = slice(*(self.phases + np.array([places[box.name].start, places[box.name].stop])))
@@ -121,15 +121,17 @@ class Border:
                     f"got {short((box.min, box.max))} for {limits[part].tolist()}"
                 )
             if (other[:, 0] >= other[:, 1]).any():
-                raise TrajectoryError(f"solve: free[{box.name!r}] expects low below high; a value belongs to params=")
+                raise TrajectoryError(
+                    f"solve: free[{box.name!r}] expects low < high.\n  fix: pass a fixed value in params="
+                )
             limits[part] = other
         return limits
 
     def start(self, durations: Array, params: Mapping[str, Array], guess: Mapping[str, Array], limits: Array) -> Array:
-        """b at the start, within limits (g, 2): guesses, else what is nearest to the parameters' values.
+        """The initial b, within limits (g, 2): guesses, else the admissible values nearest to the parameters' values.
 
         Raises:
-            TrajectoryError: a guess outside its box.
+            TrajectoryError: a guess outside its limits.
         """
         parts = [np.ravel(durations)]
         places = Controls(self.boxes).slices
@@ -142,19 +144,19 @@ class Border:
 
 
 def times_of(final_time: Any, guess: Any) -> tuple[tuple[float, float], float]:
-    """The limits of a final time, a number or (low, high), and where it starts.
+    """The limits of a final time, from a number or (low, high), and its initial guess.
 
     Raises:
-        TrajectoryError: times that cannot be.
-        InputError: another unit than s.
+        TrajectoryError: invalid times.
+        InputError: a unit other than s.
     """
     for name, value in (("final_time", final_time), ("final_time_guess", guess)):
         same_unit(name, value, seconds)
     if final_time is None:
-        raise TrajectoryError("final_time expects a number in s, or limits (low, high) to leave it free, got None")
+        raise TrajectoryError("final_time expects a number in s, or limits (low, high) of a free final time, got None")
     limits = reals("final_time", final_time, TrajectoryError)
     if limits.shape not in ((), (2,)):
-        raise TrajectoryError(f"final_time must be a number or (low, high), got {final_time!r}")
+        raise TrajectoryError(f"final_time expects a number or (low, high), got {final_time!r}")
     low, high = np.broadcast_to(limits, 2).tolist()
     if not (0.0 < low <= high < np.inf):
         raise TrajectoryError(f"final_time must be positive, finite and low <= high, got {final_time!r}")

@@ -1,4 +1,4 @@
-"""Values and derivatives of a staged problem at a point, as NumPy arrays."""
+"""Values and derivatives of a staged (multi-stage) problem at a point, as NumPy arrays."""
 
 from __future__ import annotations
 
@@ -13,14 +13,15 @@ from ...solver.transcription import Transcription
 
 
 class Evaluated:
-    """Values and derivatives of a problem in stages at a point, by its functions.
+    """Values and derivatives of a staged problem at a point, from its compiled functions.
 
     Attributes:
         cost, c, h, e: (1,) the cost; defects, inequalities and equalities of all stages.
-        failed: whether there are no values.
-        gradient: of the cost by v, once derivatives are evaluated, as the others.
-        F, Jh, Je: matrices of defects and rows, one stage after the other; see `blocks`.
-        H: second derivatives of the cost, likewise.
+        failed: whether the values are not finite.
+        gradient: derivative of the cost with respect to v; like the following attributes, set once derivatives are
+            evaluated.
+        F, Jh, Je: entries of the Jacobians of defects, inequalities and equalities, stage by stage; see `blocks`.
+        H: second derivatives of the cost, in the same layout.
     """
 
     def __init__(self, transcription: Transcription, z: Array) -> None:
@@ -58,11 +59,11 @@ class Evaluated:
         return np.full_like(H, np.nan) if failed else H
 
     def blocks(self, flat: Array, rows: Sequence[int]) -> list[Array]:
-        """The matrices (rows, columns) of all stages."""
+        """The matrices (rows, columns) of all stages, from entries in this layout."""
         return [block for _, blocks in self.batches(flat, rows) for block in blocks]
 
     def batches(self, flat: Array, rows: Sequence[int]) -> Iterator[tuple[slice, Array]]:
-        """The matrices of stages with the same counts, (stages, rows, columns)."""
+        """The matrices of all stages with the same sizes, as arrays (stages, rows, columns)."""
         end = 0
         for run in self.stages.runs:
             shape = (run.stop - run.start, self.stages.columns[run.start], rows[run.start])
@@ -70,7 +71,7 @@ class Evaluated:
             yield run, flat[begin:end].reshape(shape).swapaxes(1, 2)
 
     def changes(self, flat: Array, rows: Sequence[int], of_stages: Sequence[Array]) -> Array:
-        """By how much a step whose entries are as large as v changes each row at most, to first order: |J| v.
+        """A first-order bound |J| v of the change of each row for a step whose entries are at most v.
 
         Args:
             of_stages: `by_run(v)`.
@@ -79,12 +80,14 @@ class Evaluated:
         return np.concatenate([(np.abs(J) @ v[..., None]).ravel() for (_, J), v in every])
 
     def curvatures(self, H: Array, of_stages: Sequence[Array]) -> Array:
-        """(stages,) v' |H| v, with the entries of v that belong to each stage; `of_stages` is `by_run(v)`."""
+        """(stages,) v' |H| v, with the entries of v that belong to each stage; `of_stages` is the result of
+        `by_run(v)`.
+        """
         every = zip(self.batches(H, self.stages.columns), of_stages)
         return np.concatenate([((np.abs(block) @ v[..., None])[..., 0] * v).sum(axis=1) for (_, block), v in every])
 
     def by_run(self, v: Array) -> list[Array]:
-        """(stages, columns) of v for each run of stages, the parameters in each stage."""
+        """(stages, columns) of v for each run of equally large stages; shared parameters are repeated in each stage."""
         stages, result = self.stages, []
         split = stages.variables - stages.parameters
         for run in stages.runs:
@@ -98,7 +101,7 @@ class Evaluated:
 
 
 def moved(transcription: Transcription, z: Array, step: Array) -> Array:
-    """z after a step of v."""
+    """The point z after a step v."""
     result = np.array(z)
     transcription.call("retract", *(np.ascontiguousarray(a, float) for a in (z, step)), result)
     return result

@@ -8,41 +8,41 @@ from typing import Any, NamedTuple
 class Iterate(NamedTuple):
     """An iterate: states, controls and shared unknowns."""
 
-    xs: Any  # states by name (nodes, ...); of several phases a tuple of such dicts
+    xs: Any  # states by name (nodes, ...); for several phases a tuple of such dicts
     us: Any  # (intervals, m)
     border: Any  # (g,) durations and free parameters
 
     def with_border(self, border: Any) -> Iterate:
-        """The same states and controls with other durations and free parameters."""
+        """The same states and controls with another vector of durations and free parameters."""
         return self._replace(border=border)
 
 
 class Instance(NamedTuple):
-    """The data of a solve: parameters, ends of phases and limits."""
+    """The data of a solve: parameters, initial and final states, and limits."""
 
     params: Any
-    final: Any  # states at the end; entries that are free stand for nothing; of phases `PhaseEnds`
-    limits: Any  # (g, 2) of the border
-    margins: Any = 0.0  # (rows,) by which rows are tightened
+    final: Any  # final states, whose free entries have no meaning; for several phases `PhaseEnds`
+    limits: Any  # (g, 2) limits of the shared unknowns
+    margins: Any = 0.0  # (rows,) the margins by which rows are tightened
 
     def with_params(self, params: Any) -> Instance:
-        """The same with other values of parameters."""
+        """A copy with other parameter values."""
         return self._replace(params=params)
 
     def with_margins(self, margins: Any) -> Instance:
-        """The same with rows tightened by other margins."""
+        """A copy with other margins."""
         return self._replace(margins=margins)
 
 
 class PhaseEnds(NamedTuple):
-    """States at the ends of every phase; free entries have no meaning."""
+    """Initial and final states of every phase; free entries have no meaning."""
 
     initial: Any
     final: Any
 
 
 class Step(NamedTuple):
-    """A step in the tangent space, or anything else with an entry for each unknown."""
+    """A step in the tangent space, or other data with an entry for each unknown."""
 
     d: Any  # (nodes, n)
     u: Any  # (intervals, m)
@@ -50,8 +50,8 @@ class Step(NamedTuple):
 
 
 class Values(NamedTuple):
-    """The values of a problem at a point."""
+    """The values of a problem's functions at a point."""
 
     cost: Any
     defects: Any  # (intervals, n)
-    rows: Any  # (rows,) those of all intervals, then those of the end; <= 0 or = 0
+    rows: Any  # (rows,) the rows of all intervals, then those of the end; <= 0 or = 0

@@ -1,7 +1,7 @@
-"""Cost, defects and rows of a phase as JAX computes them: for derivatives of `solution` of any order.
+"""Cost, defects and constraint rows of a phase as JAX functions, for derivatives of `solution` of any order.
 
 The solver's core has the same functions in C, `integrate.c`. An interval is integrated in exponential coordinates eta
-about its first node, x = base Exp(eta), over shares of the duration of the phase.
+about its first node, x = base Exp(eta), as a function of the fraction of the phase's duration.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from ...system.dynamics import Arrays
 from .iterate import Instance, Iterate, Values
 from .shooting import Shooting
 
-#: Newton steps of collocation at most, and the size of a step, relative, after which one more is the last.
+#: The largest number of Newton steps of collocation, and the relative step size after which one more step is the last.
 _NEWTON_STEPS, _NEWTON_CLOSE = 20, 1e-9
 
 
 class _Fixed(NamedTuple):
-    """The values that are constant along an interval."""
+    """The quantities that are constant along an interval."""
 
-    start: Any  # a share of the duration of the phase, as the width
+    start: Any  # a fraction of the duration of the phase, like the width
     width: Any
     base: Any
     u: Any
@@ -38,7 +38,7 @@ class _Fixed(NamedTuple):
 
 
 class JaxValues:
-    """Values of a phase at points and steps away from them."""
+    """Values of a phase at a point, and at a step from it."""
 
     def __init__(self, shooting: Shooting) -> None:
         self._shooting = shooting
@@ -52,7 +52,7 @@ class JaxValues:
         self._nodes = {k: compiled(functools.partial(shooting.node_at, k)) for k in shooting.conditions}
 
     def __call__(self, point: Iterate, instance: Instance, d: jax.Array | None = None) -> Values:
-        """Cost, defects and rows at a point, or a step d (nodes, n) of its nodes away in their charts."""
+        """Cost, defects and rows at a point, or after a step d (nodes, n) of its nodes in their charts."""
         phase, params = self._shooting, instance.params
         d = jnp.zeros((phase.nodes, phase.n), point.us.dtype) if d is None else d
         left, right = ({name: a[part] for name, a in point.xs.items()} for part in (slice(-1), slice(1, None)))
@@ -75,7 +75,7 @@ class JaxValues:
         return Values(jnp.sum(costs) + end[-1], defects, rows + instance.margins)
 
     def _interval(self, fixed: _Fixed, eta: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """The end of an interval that starts at eta, its path rows, and its part of the running cost."""
+        """The end of an interval that starts at eta, its path rows, and its contribution to the running cost."""
         method, layout = self._shooting.transcription.scheme, self._shooting.layout
         as_array = functools.partial(jnp.asarray, dtype=eta.dtype)
         length, c = fixed.width / method.substeps, as_array(method.c)
@@ -99,7 +99,7 @@ class JaxValues:
         return last, rows, cost
 
     def _slope(self, fixed: _Fixed, shares: jax.Array, k: int, eta: jax.Array) -> jax.Array:
-        """d eta / d share at stage k."""
+        """The derivative of eta with respect to the fraction of the duration, at stage k."""
         q = jnp.concatenate([eta, fixed.u, fixed.border])
         slope: jax.Array = self._rate(q, shares[k], fixed.base, fixed.params)
         return slope
@@ -109,7 +109,7 @@ _Slope = Callable[[int, jax.Array], jax.Array]
 
 
 def _explicit(method: Scheme, length: Any, eta: jax.Array, slope: _Slope) -> tuple[jax.Array, jax.Array]:
-    """The stages of a substep, one after the other, and their slopes."""
+    """The stages of an explicit substep, computed successively, and their derivatives."""
     points, slopes = list[jax.Array](), list[jax.Array]()
     for k, weights in enumerate(method.a):
         points.append(eta + length * sum(float(w) * s for w, s in zip(weights, slopes) if w))
@@ -126,7 +126,7 @@ def _implicit(method: Scheme, length: Any, eta: jax.Array, slope: _Slope) -> tup
         return slopes - jnp.stack([slope(k, points[k]) for k in range(count)])
 
     def improved(slopes: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """The stages after a Newton step, and its relative size."""
+        """The stages after one Newton step, and the relative size of that step."""
         matrix = jax.jacfwd(residual)(slopes).reshape(count * n, count * n)
         step = jnp.linalg.solve(matrix, residual(slopes).reshape(-1)).reshape(count, n)
         return slopes - step, jnp.abs(length * step).max() / (1.0 + jnp.abs(length * slopes).max())
@@ -141,7 +141,7 @@ def _implicit(method: Scheme, length: Any, eta: jax.Array, slope: _Slope) -> tup
     slopes, _, steps = jax.lax.while_loop(
         unfinished, step, (first, jnp.asarray(jnp.inf, eta.dtype), jnp.zeros((), int))
     )
-    # Of the solution without derivatives a step of Newton's method has the first, two have the third as well.
+    # For first derivatives of the solution one Newton step suffices; two steps also give third derivatives.
     slopes = jax.lax.stop_gradient(slopes)
     for _ in range(2):
         slopes, _ = improved(slopes)

@@ -1,12 +1,13 @@
-"""Phases as one discrete problem: the stages of each in turn, and between two phases a stage of its own, a join.
+"""Several phases as one discrete problem: the stages of each phase in turn, with an additional stage, a join, between
+two phases.
 
-States, controls and rows of smaller phases are padded to the largest, so what a stage costs is what the largest costs.
-The last node of a phase and the first of the next are both unknown; the join says with its defect
+States, controls and rows of smaller phases are padded to the largest phase, so all stages cost as much as the largest.
+The last node of a phase and the first node of the next are both unknown. The defect of the join states
 
     F(d, b) = Log(x_next^-1 jump(x_last Exp(d), b)),   d_next = F,
 
-with the conditions and the cost of the phase's end as its rows and its cost. An entry of x_next that no link decides is
-the control of the join: F = u there, the step to it from the node, zero where the node has moved along.
+with the conditions and the cost of the phase's end as its rows and its cost. An entry of x_next that no link determines
+is a control u of the join: F = u there, the step of this entry from the node.
 """
 
 from __future__ import annotations
@@ -28,18 +29,19 @@ from .shooting import PhaseSegment, Shooting, Transcribed
 
 
 class Join:
-    """A join between two phases: the initial states of the next phase as expressions of the last states.
+    """A join between two phases: the initial states of the next phase as expressions of the last states of the previous
+    one.
 
     Args:
-        before, after: the phases.
-        sources: state -> an expression of the last states before, or None where the state is free.
-        initial: state -> values in place of it as stated, NaN where entries are free; a solve has others there.
-        fixed: state -> (dimension,) which tangents have such a value.
+        before, after: the two phases.
+        sources: state -> an expression of the last states of the previous phase, or None for a free state.
+        initial: state -> the values that replace its link, NaN for free entries; a solve may use other values.
+        fixed: state -> (dimension,) the tangents with such a value.
 
     Attributes:
-        stage: its number.
-        free: which tangents of the next start nothing decides.
-        key: what the defect depends on beside its expressions and the layout of both phases.
+        stage: the index of its stage.
+        free: the tangents of the next initial state that neither a link nor a value determines.
+        key: what the defect depends on besides its expressions and the layout of both phases.
     """
 
     stage = 0
@@ -65,13 +67,13 @@ class Join:
 
     @property
     def sources(self) -> tuple[Expr, ...]:
-        """The expressions of the last states before, in the order of the next ones."""
+        """The expressions of the previous phase's last states, in the order of the next phase's states."""
         return tuple(source for source in self._sources.values() if source is not None)
 
     def gap_at(
         self, sources: Sequence[Expr], z: jax.Array, base: Arrays, start: Arrays, initial: Arrays, params: Arrays
     ) -> jax.Array:
-        """The defect of the join at z = [d, b]: a step of the last node from base, and the shared unknowns.
+        """The defect of the join at z = [d, b]: a step d of the last node from its base, and the shared unknowns b.
 
         Args:
             sources: the expressions of `sources`, or others of their shapes.
@@ -91,7 +93,7 @@ class Join:
 class Joined(Transcribed):
     """A problem of several phases.
 
-    Points have the states of each phase in a tuple; `Instance.final` likewise.
+    Points have a tuple with the states of each phase, and so has `Instance.final`.
     """
 
     def __init__(self, shootings: Sequence[Shooting], joins: Sequence[Join], names: Sequence[str]) -> None:
@@ -173,7 +175,7 @@ class Joined(Transcribed):
 
 
 def drop_repeated_rows(before: Shooting, after: Shooting, unchanged: set[str]) -> None:
-    """Take rows out of the start of a phase that exist, of the same states, at the end of the one before."""
+    """Remove rows at the start of a phase that duplicate rows of the same states at the end of the previous phase."""
     at_end = {key for key, is_there in zip(_keys(before.path), before.path.at_nodes()) if is_there}
     for place, row in after.start_rows():
         same = after.path.states[row] <= unchanged and _keys(after.path)[row] in at_end

@@ -1,4 +1,6 @@
-"""The functions of a phase as kernels that the solver's core calls, compiled once for all that differ in numbers."""
+"""The functions of a phase as compiled kernels for the solver's core. Phases that differ
+only in numbers share kernels.
+"""
 
 from __future__ import annotations
 
@@ -21,17 +23,18 @@ from .joined import Join
 from .shooting import Shooting
 from .vectors import Flat, Numbers
 
-#: Arguments by what they are.
+#: The arguments of a kernel, by kind.
 Known = Mapping[Argument, jax.Array]
-#: A function of arguments, parameters, and groups of expressions.
+#: A function of arguments and parameters, with groups of expressions as results.
 Traced = Callable[[Known, Any, Sequence[Any]], jax.Array]
 
 
 class ExtraHessian(NamedTuple):
-    """Second derivatives in place of those of a whole function, for example those of a sum of squares.
+    """Second derivatives that replace the exact ones, for example those of a sum of squares.
 
     Attributes:
-        running, final: of the running cost by q = [eta, u, b] and of the final one by z = [eta, b], flat.
+        running, final: of the running cost with respect to q = [eta, u, b], and of the final cost with respect to z =
+            [eta, b]; flat.
         running_parts, final_parts: the expressions that they read, in groups.
     """
 
@@ -47,16 +50,16 @@ def point_of(shooting: Shooting) -> Flat:
 
 
 def group_key(shooting: Shooting) -> Hashable:
-    """Equal for phases whose states are of the same groups."""
+    """A key that is equal for phases whose states have the same groups."""
     return tuple((type(group), freeze(group), group.shape) for group in shooting.dynamics.group.factors.values())
 
 
 class _LeafPlaces:
-    """Where the leaves of a phase stand, whatever they are called.
+    """The index ranges of a phase's leaves in the arguments of kernels, independent of their names.
 
     Attributes:
-        key: equal for phases whose points, controls, parameters and times are laid out alike.
-        boxes: whose limits there are.
+        key: equal for phases whose points, controls, parameters and times have the same layout.
+        boxes: the kinds of limits of each leaf.
     """
 
     def __init__(self, shooting: Shooting, numbers: Numbers) -> None:
@@ -76,7 +79,7 @@ class _LeafPlaces:
         self.key = (group_key(shooting), controls, *shared, numbers.key, local.sign)
 
     def token(self, leaf: Leaf) -> Hashable:
-        """What stands for a leaf; None where it counts with all that it has."""
+        """The token that represents a leaf in a key; None if all properties of the leaf count."""
         if isinstance(leaf, Time):
             return "time"
         known = isinstance(leaf, (State, Control, Parameter)) and leaf.name in self._places
@@ -84,13 +87,13 @@ class _LeafPlaces:
 
 
 class PhaseFunctions:
-    """The functions of a phase: of (eta, u, p), shares, points of nodes, and the numbers of a solve.
+    """The functions of a phase: of (eta, u, p), fractions of the duration, points of nodes, and the numbers of a solve.
 
-    Numbers within expressions are arguments too: kernels of phases that differ in them alone are one.
+    Numbers within expressions are arguments too, so phases that differ only in these share kernels.
 
     Args:
-        extra: second derivatives of the costs, where those of the functions are not compiled.
-        order: of the derivatives that are compiled.
+        extra: second derivatives of the costs, if those of the cost functions are not compiled.
+        order: the order of the derivatives that are compiled.
     """
 
     def __init__(self, shooting: Shooting, numbers: Numbers, extra: ExtraHessian | None = None, order: int = 2) -> None:
@@ -105,11 +108,13 @@ class PhaseFunctions:
         key: Hashable,
         numbers: Array,
     ) -> SmoothKernels:
-        """Kernels of a function that reads unknowns, numbers of a solve, and numbers within expressions last."""
+        """Kernels of a function whose arguments are unknowns, the numbers of a solve, and last the numbers within
+        expressions.
+        """
         return SmoothKernels(function, arguments, order, key, numbers)
 
     def kernels(self, nodes: Mapping[int, Conditions]) -> PhaseKernels:
-        """All of them, compiled."""
+        """All kernels, compiled."""
         phase, exprs, group = self._shooting, self._shooting.local.expressions, group_key(self._shooting)
         n, of_step, size = phase.n, phase.n + phase.border.unknowns, self.point.size
         fixed = {Argument.BASE: size, Argument.DATA: self._numbers.size}
@@ -164,12 +169,12 @@ class PhaseFunctions:
         rest: Hashable,
         order: int | None = None,
     ) -> SmoothKernels:
-        """The kernels of a function.
+        """The kernels of one function.
 
         Args:
             parts: the expressions, in groups.
-            rest: all else that it depends on, but for the layout.
-            order: of the derivatives, if not as in the whole problem.
+            rest: everything else that the function depends on, except for the layout.
+            order: the order of the derivatives, if it differs from that of the problem.
         """
         structure = Structure([expr for part in parts for expr in part], self._leaf_places.token)
         by_node, border = self._shooting.by_node, self._shooting.border
@@ -203,7 +208,7 @@ class PhaseFunctions:
             arguments = {**arguments, Argument.WEIGHTS: kernels.rows}
             kernels.kernels += self._of(function, arguments, parts, ("squares", rest), 0).kernels
 
-    # ---- what is traced ---------------------------------------------------------------------------------------------
+    # ---- functions that are traced -----------------------------------------------------------------------------------
 
     def _base(self, known: Known) -> dict[str, jax.Array]:
         return self.point.split(known[Argument.BASE])

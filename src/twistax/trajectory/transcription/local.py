@@ -1,6 +1,7 @@
-"""A system in exponential coordinates about a node, x = base Exp(eta): all that a transcription differentiates.
+"""A system in exponential coordinates about a node, x = base Exp(eta): the functions that a transcription
+differentiates.
 
-Written to be compiled as scalars, so that derivatives, of second order too, are small programs.
+The functions are written to be compiled in scalar form, so that first and second derivatives are small programs.
 """
 
 from __future__ import annotations
@@ -27,22 +28,22 @@ from .point_values import PointValues
 class Expressions(NamedTuple):
     """The canonical expressions of a system, its constraints and its objective."""
 
-    rates: tuple[Expr, ...]  # of the states in their order
-    rows: tuple[Expr, ...]  # of the path, without boxes
-    limits: tuple[Expr, ...]  # of all boxes as one vector, or none
-    running: tuple[Expr, ...]  # one, or none
-    conditions: tuple[Expr, ...]  # of the last node
-    final: tuple[Expr, ...]  # one, or none
-    shown: tuple[Expr, ...]  # rows of the path as they were written
+    rates: tuple[Expr, ...]  # one for each state, in order
+    rows: tuple[Expr, ...]  # the path constraints without limits of leaves
+    limits: tuple[Expr, ...]  # the limits of all leaves as one vector, or none
+    running: tuple[Expr, ...]  # one expression or none
+    conditions: tuple[Expr, ...]  # the conditions at the last node
+    final: tuple[Expr, ...]  # one expression or none
+    shown: tuple[Expr, ...]  # the path constraints as users wrote them
 
 
 class Local:
     """Rates, constraints and costs of a system at points (t, x, u, params) with x = base Exp(eta); u is flat.
 
     Attributes:
-        group, controls: of the states and of the controls.
-        expressions: what is evaluated.
-        sign: 1 where less is better, -1 where more is.
+        group, controls: the group of the states, and the controls.
+        expressions: the expressions to evaluate.
+        sign: 1 to minimise, -1 to maximise.
     """
 
     def __init__(
@@ -69,7 +70,7 @@ class Local:
         self.group, self.controls = dynamics.group, Controls((*dynamics.controls, *norms.controls))
 
     def made_of(self, **expressions: tuple[Expr, ...]) -> Local:
-        """The same with other expressions, of the same shapes, by their names in `Expressions`."""
+        """A copy with other expressions of the same shapes, by their names in `Expressions`."""
         other = copy.copy(self)
         other.expressions = self.expressions._replace(**expressions)
         return other
@@ -82,7 +83,8 @@ class Local:
         """eta' = J_r(eta)^-1 f, with f the body velocities of all states and J_r the right Jacobian.
 
         It is the RKMK equation in canonical coordinates of the first kind.
-        Source: Iserles, Munthe-Kaas, Norsett, Zanna, Lie-group methods (2000), equation (2.46), for the other side.
+        Source: Iserles, Munthe-Kaas, Norsett, Zanna, Lie-group methods (2000), equation (2.46), there for
+        right-trivialised equations.
         """
         exprs = {s.name: [e] for s, e in zip(self._dynamics.states, self.expressions.rates, strict=True)}
         rates = self._dynamics.functions.values(exprs, False, at.t, dict(at.x), dict(at.u), dict(at.params))
@@ -95,7 +97,7 @@ class Local:
         return jnp.concatenate(parts)
 
     def rows(self, at: Inputs) -> jax.Array:
-        """The path rows, as the solver sees them."""
+        """The path rows in the solver's form."""
         count = len(self.expressions.rows)
         values = _values([*self.expressions.rows, *self.expressions.limits], at)
         flat = {name: value.reshape(-1) for name, value in (*at.x.items(), *at.u.items())}
@@ -105,12 +107,12 @@ class Local:
         return jnp.concatenate([jnp.zeros(0, at.dtype), *(a.reshape(-1).astype(at.dtype) for a in every)])
 
     def cost(self, exprs: Sequence[Expr], at: Inputs) -> jax.Array:
-        """A part of the objective, signed so that less is better; zero where there is none."""
+        """A contribution to the objective, with the sign for minimisation; zero if there is none."""
         values = _values(exprs, at)
         return self.sign * values[0].astype(at.dtype) if values else jnp.zeros((), at.dtype)
 
     def conditions(self, at: Inputs) -> jax.Array:
-        """Those of the last node."""
+        """The conditions at the last node."""
         conditions = dataclasses.replace(self._final, residuals=self.expressions.conditions)
         return conditions.values(at.t, at.x, at.params)
 
@@ -121,7 +123,7 @@ class Local:
     def along(
         self, rows: Sequence[Expr], ts: Array, x: Mapping[str, Any], u: Mapping[str, Any], params: Mapping[str, Any]
     ) -> Array:
-        """(points, entries) rows of the path and those of its boxes at many points, as arrays of NumPy."""
+        """(points, entries) the path rows and the rows of leaf limits at many points, as NumPy arrays."""
         flat = {name: np.reshape(values, (len(ts), -1)) for name, values in (*x.items(), *u.items())}
         boxes = [b.sign * (flat[b.leaf][:, b.entry] - b.limit) for b in self._path.bounds]
         return np.concatenate([PointValues.of(rows)(ts, x, u, params), *(box[:, None] for box in boxes)], axis=1)

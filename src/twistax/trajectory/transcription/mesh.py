@@ -1,4 +1,4 @@
-"""Where the nodes of a trajectory lie in time."""
+"""The mesh of a trajectory: the positions of its nodes in time."""
 
 from __future__ import annotations
 
@@ -21,17 +21,16 @@ class Mesh:
     """The times of the nodes, as fractions of the duration of the trajectory.
 
     Args:
-        nodes: their number, for intervals of equal length, or an increasing sequence of fractions from 0 to 1.
-        free: whether the lengths of intervals are unknowns, for controls that jump between nodes:
-            True, or limits (low, high) of their lengths as multiples of those in `nodes`. True is (0.01, inf).
+        nodes: the number of nodes, for intervals of equal length; or an increasing sequence of fractions from 0 to 1.
+        free: whether interval lengths are unknowns, which is useful for controls that jump at unknown times. True, or
+            limits (low, high) of the lengths as multiples of those in `nodes`; True means (0.01, inf).
 
     Attributes:
         shares: (nodes,).
-        free: the limits, None for fixed nodes.
+        free: the limits of interval lengths; None for fixed nodes.
 
     Raises:
-        TrajectoryError: fewer than two nodes; fractions that do not increase from 0 to 1; limits that do not have 1
-            between them.
+        TrajectoryError: fewer than two nodes; fractions that do not increase from 0 to 1; limits that do not contain 1.
     """
 
     shares: Array
@@ -64,12 +63,12 @@ class Mesh:
 
     @property
     def is_even(self) -> bool:
-        """Whether all intervals are equally long."""
+        """Whether all intervals have equal length."""
         return self.free is None and bool(np.allclose(self.widths, 1.0 / len(self.widths), rtol=1e-9, atol=0.0))
 
     @property
     def widths(self) -> Array:
-        """(nodes - 1,) the widths of the intervals."""
+        """(nodes - 1,) the lengths of the intervals, as fractions of the duration."""
         return np.diff(self.shares)
 
 
@@ -83,19 +82,23 @@ def _limits(free: Any) -> tuple[float, float] | None:
 
 
 def mesh_of(nodes: Any) -> Mesh:
-    """The mesh that was instance, or that of so many nodes, or with nodes at these shares."""
+    """The argument itself if it is a mesh; else the mesh with this number of nodes, or with
+    nodes at these fractions.
+    """
     return nodes if isinstance(nodes, Mesh) else Mesh(nodes)
 
 
 class Remeshed(NamedTuple):
-    """What a problem of one phase, or a phase, has on another mesh; `numbers` are the new ones of its nodes."""
+    """The properties of a problem of one phase, or of a phase, that change with the mesh; `numbers` are the new node
+    indices.
+    """
 
     mesh: Mesh
     transcription: MultipleShooting | Collocation
     numbers: Array
 
     def stated(self, at: Mapping[int, Any] | None) -> dict[str, Any]:
-        """What it is stated with, given conditions at inner nodes; without a guess."""
+        """The arguments of its statement on the new mesh, from conditions at inner nodes; without a guess."""
         return {
             "nodes": self.mesh,
             "transcription": self.transcription,

@@ -1,4 +1,4 @@
-"""How an interval is integrated: `Problem(transcription=...)`."""
+"""Transcriptions, the integration of an interval: `Problem(transcription=...)`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ...integrators.tableaus import DOP853, RK4, CollocationTableau
 from ...linear.discretize import method_of
 from ...solver.transcription import Scheme
 
-#: Steps of a close integration of an interval at least, for limits are checked at their ends; an even number.
+#: The minimal number of steps of an accurate integration, at whose ends limits are checked; an even number.
 _LOOKS = 8
 
 
@@ -24,11 +24,11 @@ class MultipleShooting:
     """An explicit Runge-Kutta method in exponential coordinates about the first node of an interval.
 
     Args:
-        method: an `RKMK` with an explicit tableau; RK4 by default. Its chart is ignored.
-        substeps: the number of its steps in an interval. Limits on states hold at their ends.
+        method: an `RKMK` with an explicit tableau; RK4 by default. Its `chart` is ignored.
+        substeps: the number of steps in an interval. Limits on states are imposed at their ends.
 
     Raises:
-        TrajectoryError: another method, or a number of substeps that is not a positive whole number.
+        TrajectoryError: a method of another kind, or a number of substeps that is not a positive whole number.
     """
 
     method: Any = dataclasses.field(default_factory=lambda: RKMK(RK4))
@@ -40,7 +40,10 @@ class MultipleShooting:
 
     @property
     def scheme(self) -> Scheme:
-        """The method for the solver's core; the running cost by Simpson's rule at the ends of substeps."""
+        """The tableau and weights that the solver's core uses.
+
+        The running cost is integrated by Simpson's rule at the ends of substeps.
+        """
         a, c = self.method.tableau.counted
         square = np.zeros((len(c), len(c)))
         for row, weights in zip(square, a):
@@ -59,7 +62,7 @@ class MultipleShooting:
         return RKMK(RK4)
 
     def rolling(self, samples: int) -> MultipleShooting:
-        """The same method for the core, with a number of steps in an interval."""
+        """The same method for the core, with another number of steps in an interval."""
         return MultipleShooting(RKMK(RK4), samples)
 
 
@@ -67,16 +70,16 @@ class MultipleShooting:
 class Collocation:
     """Collocation on the group: a polynomial in exponential coordinates about the first node of an interval.
 
-    The derivative of the polynomial satisfies the equation at the nodes of the tableau. Use it for stiff systems, and
-    with high order for long intervals. The equations of a step are solved inside the interval, with the running cost
-    integrated to the order of the tableau.
+    The derivative of the polynomial satisfies the differential equation at the nodes of the tableau. Use it for stiff
+    systems, and with high order for long intervals. The equations of a step are solved inside the interval. The running
+    cost is integrated to the order of the tableau.
 
     Args:
         tableau: a `tx.tableaus.CollocationTableau`, such as `tx.tableaus.GAUSS_LEGENDRE6` or `RADAU_IIA5`.
-        substeps: the number of its steps in an interval. Limits on states hold at their ends.
+        substeps: the number of steps in an interval. Limits on states are imposed at their ends.
 
     Raises:
-        TrajectoryError: another tableau, or a number of substeps that is not a positive whole number.
+        TrajectoryError: a tableau of another kind, or a number of substeps that is not a positive whole number.
     """
 
     tableau: Any
@@ -91,7 +94,10 @@ class Collocation:
 
     @property
     def scheme(self) -> Scheme:
-        """The method for the solver's core; the running cost by the weights of the tableau."""
+        """The tableau and weights that the solver's core uses.
+
+        The running cost is integrated with the weights of the tableau.
+        """
         a, b, c = self.tableau.a, self.tableau.b, self.tableau.c
         weights = np.concatenate([np.zeros(self.substeps + 1), np.tile(b / self.substeps, self.substeps)])
         return Scheme(a, b, c, self.substeps, True, weights)
@@ -103,20 +109,20 @@ class Collocation:
 
     @property
     def replaying(self) -> Method:
-        """The default method of a replay: implicit where the tableau is one for stiff systems."""
+        """The default method of a replay: implicit if the tableau is stiffly accurate."""
         return ImplicitRKMK(self.tableau) if self.tableau.stiffly_accurate else RKMK(RK4)
 
     def rolling(self, samples: int) -> MultipleShooting | Collocation:
-        """The same method for the core, with a number of steps in an interval."""
+        """The same method for the core, with another number of steps in an interval."""
         stiff = self.tableau.stiffly_accurate
         return Collocation(self.tableau, samples) if stiff else MultipleShooting(RKMK(RK4), samples)
 
 
 def transcription_of(transcription: Any, method: Any, substeps: Any) -> MultipleShooting | Collocation:
-    """The transcription itself, or multiple shooting by a method.
+    """The transcription if there is one, else multiple shooting with a method and substeps.
 
     Raises:
-        TrajectoryError: another object, or both are instance.
+        TrajectoryError: an object of another kind, or both arguments are present.
     """
     if transcription is None:
         chosen = {} if substeps is None else {"substeps": substeps}
@@ -128,13 +134,15 @@ def transcription_of(transcription: Any, method: Any, substeps: Any) -> Multiple
         )
     if method is not None or substeps is not None:
         raise TrajectoryError(
-            "method and substeps belong to the transcription: leave them out where transcription= is passed"
+            "method and substeps belong to the transcription: leave them out if you pass transcription="
         )
     return transcription
 
 
 def _simpson(substeps: int) -> Array:
-    """Weights of the points of a unit interval: Simpson's rule, the trapezoid rule where substeps are odd."""
+    """Weights of equidistant points of a unit interval: Simpson's rule, or the trapezoidal rule for an odd number of
+    substeps.
+    """
     weights = np.ones(substeps + 1)
     if substeps % 2:
         weights[1:-1] = 2.0

@@ -1,4 +1,4 @@
-"""Expressions at many points by kernels: what differs in numbers alone, or in the count of points, compiles once."""
+"""Expressions at many points by compiled kernels. Changes of numbers, or of the number of points, do not recompile."""
 
 from __future__ import annotations
 
@@ -42,15 +42,15 @@ class PointValues:
 
     @classmethod
     def of(cls, exprs: Sequence[Expr]) -> PointValues:
-        """Those of expressions that were met before are kept."""
+        """The object for these expressions; those of expressions that occurred before are cached."""
         kept: PointValues = _CACHE.get(tuple(expr.key() for expr in exprs), lambda: cls(exprs))
         return kept
 
     def __call__(self, ts: Array, x: Mapping[str, Any], u: Mapping[str, Any], params: Mapping[str, Any]) -> Array:
-        """The entries of all expressions (points, entries), for arrays with a row for each point.
+        """The values of all expressions (points, entries), from arrays with a row for each point.
 
         Raises:
-            Exception: what a function that JAX runs has raised.
+            Exception: the error that a function executed by JAX has raised.
         """
         (kernel,) = self._function.kernels
         rows = len(ts)

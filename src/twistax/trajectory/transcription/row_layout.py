@@ -16,16 +16,17 @@ from .border import Border
 
 @dataclasses.dataclass(frozen=True)
 class RowLayout:
-    """The rows of all intervals, each followed by those of the conditions at its first node, then the rows of the end.
+    """The rows of all intervals, each followed by the conditions at its first node, then the rows of the end.
 
     Attributes:
         names, places, equality, exists, determined, at_single_node: (rows,), see `Transcribed`.
-        path_indices: places among the path rows of all points of an interval, in order, that some interval has.
-        per_interval: rows of an interval.
-        path_rows: path rows at a point, 1 where the path has no rows.
-        end_states: path rows that the last node has.
-        fixed: tangents that the final values fix.
-        counts: node -> how many conditions it has.
+        path_indices: the indices, among the path rows of all points of an interval, of the rows that some interval has,
+            in order.
+        per_interval: the number of rows of an interval.
+        path_rows: the number of path rows at a point, 1 if there are none.
+        end_states: the path rows that are imposed at the last node.
+        fixed: the tangents that the final values fix.
+        counts: node -> the number of its conditions.
     """
 
     names: Array
@@ -47,13 +48,15 @@ class RowLayout:
         return self.per_interval - len(self.path_indices)
 
     def spread(self, of_rows: Array) -> Array:
-        """(rows,) from values (intervals, path rows): each value at every point of the interval that has the row."""
+        """(rows,) from values (intervals, path rows): the value of an interval at every point of it
+        that has the row.
+        """
         inner = np.zeros((len(of_rows), self.per_interval))
         inner[:, : len(self.path_indices)] = of_rows[:, self.path_indices % self.path_rows]
         return np.concatenate([inner.ravel(), np.zeros(len(self.names) - inner.size)])
 
     def least(self, of_rows: Array, intervals: int, rows: int) -> Array:
-        """(intervals, path rows) the smallest value of each path row in values (rows,); infinite if there is none."""
+        """(intervals, path rows) the smallest value of each path row in values (rows,); infinite for missing rows."""
         least = np.full((intervals, rows), np.inf)
         sizes = of_rows[: intervals * self.per_interval].reshape(intervals, -1)[:, : len(self.path_indices)]
         np.minimum.at(least.T, self.path_indices % self.path_rows, sizes.T)
@@ -72,11 +75,11 @@ def row_layout(
     substeps: int,
     phase: int,
 ) -> RowLayout:
-    """The rows of a phase.
+    """The layout of the rows of a phase.
 
     Args:
         tangents: names of the states' tangents.
-        phase: its number.
+        phase: the index of the phase.
     """
     free_times = border.free[: border.phases]
     known_start, known_end = not free_times[:phase].any(), not free_times[: phase + 1].any()
@@ -100,8 +103,8 @@ def row_layout(
         if k == 0:
             node_determined[0, here] = conditions.determined(ends.initial_fixed, boxes, known_start)
 
-    # The end: conditions, fixed entries, path rows of the last node, limits of the border.
-    # Of 32 bits: JAX without double precision adds no others.
+    # The end: conditions, fixed entries, path rows of the last node, limits of the shared unknowns. Indices have 32
+    # bits, because JAX without double precision has no others.
     states, fixed = (np.flatnonzero(a).astype(np.int32) for a in (path.at_nodes(), ends.final_mask))
     limits = border.row_names if phase == border.phases - 1 else []
     end_names = [*final.names, *(f"final {tangents[i]}" for i in fixed), *(path.names[i] for i in states), *limits]

@@ -1,12 +1,13 @@
-"""Multiple shooting in the tangent space: the unknowns and rows of a phase, and its functions.
+"""Multiple shooting in the tangent space: the unknowns, rows and functions of a phase.
 
-The unknowns are a step z = (d_0, du_0, ..., d_(K-1), du_(K-1), d_K, db) away from the nodes x_k, held controls u_k, and
-the border b, which has the final time T and free parameters; nodes move by x_k (+) d_k, so the chart is re-based at
-every iterate. Interval k is integrated in exponential coordinates about x_k, in time made dimensionless by T. It gives
+The unknowns are a step z = (d_0, du_0, ..., d_(K-1), du_(K-1), d_K, db) from the nodes x_k, the piecewise constant
+controls u_k, and the shared unknowns b (border), which hold the final time T and free parameters. Nodes move by x_k (+)
+d_k, so the chart is re-based at every iterate. Interval k is integrated in exponential coordinates about x_k, in time
+divided by T. The results are the defect function
 
-    F_k(d_k, du_k, db) = Log(x_(k+1)^-1 x_k Exp(eta_k)),   and the dynamics say d_(k+1) = F_k,
+    F_k(d_k, du_k, db) = Log(x_(k+1)^-1 x_k Exp(eta_k)), with the dynamics d_(k+1) = F_k,
 
-the rows of constraints at the ends of its substeps, and its share of the running cost by a rule of quadrature.
+the constraint rows at the ends of its substeps, and its contribution to the running cost by a quadrature rule.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ from .row_layout import row_layout
 
 
 class PhaseSegment(NamedTuple):
-    """A transcribed phase, and where its nodes and intervals are among those of the whole problem."""
+    """A transcribed phase, with the indices of its nodes and intervals in the whole problem."""
 
     number: int
     shooting: Shooting
@@ -47,28 +48,29 @@ class PhaseSegment(NamedTuple):
     alone: bool = False
 
     def of(self, point: Iterate) -> Iterate:
-        """The part of a point that belongs to the phase."""
+        """The part of a point of the whole problem that belongs to the phase."""
         if self.alone:
             return point
         return Iterate(point.xs[self.number], point.us[self.stages, : self.shooting.m], point.border)
 
 
 class Transcribed(ABC):
-    """The interface of discrete problems in stages, which solvers take.
+    """The interface of staged (multi-stage) discrete problems, which solvers read.
 
     Attributes:
-        n, m: tangents of a node and controls of an interval, of the largest phase.
-        nodes, intervals, rows_per_interval: how many.
+        n, m: the numbers of tangents of a node and of controls of an interval, in the largest phase.
+        nodes, intervals, rows_per_interval: their numbers.
         border: the unknowns that all stages share.
-        names, places: of every row.
-        equality, exists: (rows,) which rows are equalities; which ones the problem has.
-        determined: (rows,) those that the ends determine, so that no unknown changes them; they are only checked.
-        redundant: (rows,) those of them that other rows determine.
+        names, places: the name and the place of every row.
+        equality, exists: (rows,) whether a row is an equality; whether the problem has it.
+        determined: (rows,) the rows that depend only on fixed initial or final values; they are checked, not solved
+            for.
+        redundant: (rows,) the determined rows that other rows imply.
         at_single_node: (rows,) the conditions at single nodes.
-        free: Step of bool, which unknowns may move.
-        perturbable: (nodes, n) tangents that random steps may change: the free ones except those that the end fixes,
-            whose rows are evaluated at the start of a search.
-        segments, joins: the phases, and what is between them.
+        free: a Step of bool, the unknowns that may change.
+        perturbable: (nodes, n) the tangents that random perturbations may change: the free ones except those that final
+            values fix, whose rows are evaluated at the start of a search.
+        segments, joins: the phases, and the joins between them.
     """
 
     n: int
@@ -91,11 +93,11 @@ class Transcribed(ABC):
 
     @abstractmethod
     def drop(self, rows: Sequence[Array]) -> None:
-        """Remove rows of each phase that other rows determine; they are only checked."""
+        """Remove redundant rows of each phase, which other rows imply; they are only checked."""
 
     @abstractmethod
     def defect(self, stage: int, column: int) -> str:
-        """The name and the place of an entry of the defects."""
+        """The name and the place of an entry of the defects (the residuals of the dynamics)."""
 
     @functools.cached_property
     def labels(self) -> Labels:
@@ -107,7 +109,7 @@ class Transcribed(ABC):
         """The names of the conditions at single nodes."""
         return Labels(self.names[self.at_single_node])
 
-    # Those of one phase; of several see `Joined`.
+    # For one phase; for several phases see `Joined`.
 
     @property
     def phase_places(self) -> list[str]:
@@ -115,34 +117,34 @@ class Transcribed(ABC):
         return [""]
 
     def named(self, part: PhaseSegment, name: str) -> str:
-        """The name of a row of a phase among those of all."""
+        """The name of a row of a phase among those of the whole problem."""
         return name
 
     def rows_of_all(self, parts: Sequence[Array]) -> Array:
-        """Numbers for the rows of each phase as numbers for all rows."""
+        """Values for the rows of each phase, as values for all rows."""
         return parts[0]
 
     def rows_of(self, part: PhaseSegment, rows: Any) -> Any:
-        """The rows of a phase among all rows, or anything with an entry for each."""
+        """The values for the rows of one phase, from values for all rows."""
         return rows
 
 
 class Shooting(Transcribed):
-    """A phase, or a problem of one phase.
+    """A transcribed phase, or a transcribed problem of one phase.
 
     Args:
-        pace: the control that says how long intervals are over what their shares say.
+        pace: the control that scales the lengths of intervals.
 
     Attributes:
-        phase: its number.
+        phase: the index of the phase.
         leaves: states and controls by name, in the order of the unknowns.
         slacks: names of controls that are slacks.
-        size: derivatives are by so many unknowns of q: all but fixed durations.
+        size: the number of unknowns in q with respect to which derivatives are taken: all but fixed durations.
         states: names of the states' tangents.
-        turns: (n,) which tangents are rotations.
-        paced: where the control stands that says how long intervals are.
+        turns: (n,) the tangents that are rotations.
+        paced: the index of the control that scales the lengths of intervals.
         by_node: the parameters that have a value for each node.
-        alike: state -> the one whose scale it has, in this phase or in the first.
+        alike: state -> the state whose scale it shares, in this phase or in the first.
     """
 
     def __init__(
@@ -202,7 +204,9 @@ class Shooting(Transcribed):
         self.joins = []
 
     def made_of(self, **expressions: tuple[Expr, ...]) -> Shooting:
-        """The functions of other expressions, by name, of the same shapes; parameters of nodes come at their share."""
+        """The functions with other expressions of the same shapes, by name. Parameters of nodes are evaluated at the
+        node's fraction.
+        """
         other = copy.copy(self)
         other.local, other._interpolates = self.local.made_of(**expressions), False
         return other
@@ -210,7 +214,7 @@ class Shooting(Transcribed):
     # ---- rows -----------------------------------------------------------------------------------------------------
 
     def start_rows(self) -> list[tuple[int, int]]:
-        """The path rows at the first node: their places among all rows, and their indices."""
+        """The path rows at the first node: their indices among all rows, and among path rows."""
         return [(place, int(row)) for place, row in enumerate(self.layout.path_indices) if row < len(self.path.names)]
 
     def drop(self, rows: Sequence[Array]) -> None:
@@ -225,19 +229,21 @@ class Shooting(Transcribed):
         return f"'dynamics of {self.states[column]}' between nodes {stage} and {stage + 1}"
 
     def spread_over_points(self, of_rows: Array) -> Array:
-        """(rows,) from values (intervals, path rows): each value at every point of the interval that has the row."""
+        """(rows,) from values (intervals, path rows): the value of an interval at every point of it
+        that has the row.
+        """
         return self.layout.spread(of_rows)
 
     def row_scales(self, rows: Array) -> Array:
-        """(intervals, path rows) the smallest scale of every path row, from those of all rows; infinite if there is
-        none.
+        """(intervals, path rows) the smallest scale of every path row, from the scales of all rows; infinite for
+        missing rows.
         """
         return self.layout.least(np.where(self.exists, rows, np.inf), self.intervals, len(self.path.names))
 
     # ---- functions of q = [eta, u, b], and of a node's step z = [d, db] -------------------------------------------
 
     def inputs_at(self, q: jax.Array, share: jax.Array, base: Arrays, params: Arrays) -> tuple[jax.Array, Inputs]:
-        """The duration, and the point at time share * T."""
+        """The duration, and the point of evaluation at time share * T."""
         eta, u, b = jnp.split(q, [self.n, self.n + self.m])
         begin, length = self.span(b)
         pace = 1.0 if self.paced is None else u[self.paced][0]
@@ -245,7 +251,7 @@ class Shooting(Transcribed):
         return length * pace, at
 
     def rate_at(self, q: jax.Array, share: jax.Array, base: Arrays, params: Arrays) -> jax.Array:
-        """d eta / d(t / T) at time share * T."""
+        """The derivative of eta with respect to t / T, at time share * T."""
         length, at = self.inputs_at(q, share, base, params)
         return length * self.local.rate(at, q[: self.n])
 
@@ -263,13 +269,15 @@ class Shooting(Transcribed):
     def condition_at(
         self, conditions: Conditions, d: jax.Array, share: Any, base: Arrays, b: jax.Array, params: Arrays
     ) -> jax.Array:
-        """Conditions at a share of the duration."""
+        """Conditions at a fraction of the duration."""
         begin, length = self.span(b)
         x = self.dynamics.group.retract(base, d)
         return conditions.values(begin + share * length, x, params | self.border.params(b))
 
     def end_at(self, z: jax.Array, last: tuple[Arrays, jax.Array], data: Instance) -> jax.Array:
-        """The rows of the end and the final cost, from the last node and the shared unknowns; controls are zero."""
+        """The rows of the end and the final cost, from the last node and the shared unknowns;
+        controls are set to zero.
+        """
         base, b = last[0], last[1] + z[self.n :]
         q, share = jnp.concatenate([z[: self.n], jnp.zeros(self.m, z.dtype), b]), jnp.ones((), z.dtype)
         _, at = self.inputs_at(q, share, base, self._at_share(data.params, 1.0))
@@ -288,5 +296,5 @@ class Shooting(Transcribed):
         return np.asarray(begin + length * self.mesh.shares)
 
     def _at_share(self, params: Arrays, share: Any) -> Arrays:
-        """The parameters; those with a value for each node are interpolated at a share of the duration."""
+        """The parameters; those with a value for each node are interpolated at a fraction of the duration."""
         return params | self.by_node.along(params, share) if self._interpolates else params

@@ -1,6 +1,6 @@
-"""A transcribed problem in the form of the solver's core: points, steps and rows as flat arrays.
+"""A transcribed problem in the form of the solver's core, with points, steps and rows as flat arrays.
 
-z has the points of all nodes, controls and shared unknowns, stage by stage; v the same with tangents in place of
+The array z holds the points of all nodes, controls and shared unknowns, stage by stage; v has tangents in place of
 points. Rows are inequalities h, equalities e, and lower and upper bounds of v.
 """
 
@@ -24,22 +24,23 @@ from .vectors import Numbers
 
 
 class Staged:
-    """A problem in the form of the solver's core.
+    """A transcribed problem in the form of the solver's core.
 
     Args:
         transcribed: the discrete problem.
-        problems: the problems of its phases.
-        instance: what it is solved for, for shapes.
+        problems: the staged problems of its phases.
+        instance: data of a solve, for shapes.
 
     Attributes:
-        numbers: what a solve is for, as one vector.
+        numbers: the data of a solve, as one vector.
         parts: its phases.
-        transcription: functions and sizes.
-        first: where the unknowns of each stage begin in v.
-        plain: places of what is a number: entries of z of flat states, controls and shared unknowns, and of v.
-        curved: which entries of z are of states on manifolds that are not flat.
-        turning: which entries of v are rotations.
-        places_alone: groups of inequalities and equalities, of which no two stand in one stage.
+        transcription: functions and sizes in the core's form.
+        first: the index in v of the first unknown of each stage.
+        plain: the indices, in z and in v, of vector-space quantities: states without a group, controls and shared
+            unknowns.
+        curved: the entries of z that belong to states on non-flat manifolds.
+        turning: the entries of v that are rotations.
+        places_alone: groups of inequalities and equalities such that no two of a group belong to one stage.
     """
 
     def __init__(self, transcribed: Transcribed, problems: Sequence[Any], instance: Instance) -> None:
@@ -93,7 +94,7 @@ class Staged:
         self.places_alone, self._levels = self._alone(), self._groups()
 
     def _place_rows(self) -> None:
-        """The place of each row among inequalities, equalities, lower and upper bounds."""
+        """Assign each row an index among inequalities, equalities, lower bounds or upper bounds."""
         stages, transcribed = self.transcription.stages, self.transcribed
         counts = np.cumsum([sum(stages.inequalities), sum(stages.equalities), stages.variables, stages.variables])
         self._kinds, nothing = counts.tolist(), int(counts[-1])
@@ -116,11 +117,11 @@ class Staged:
             bounds.append((rows, at, bound.upper, bound.limits))
             places.append(place)
         self._bounds = [np.concatenate(parts) for parts in zip(*bounds)]
-        # Padding of smaller phases has no place either.
+        # Padding of smaller phases has no index either.
         self._places = transcribed.rows_of_all([place - nothing for place in places]).astype(int) + nothing
 
     def drop(self, rows: Sequence[Array], instance: Instance) -> None:
-        """Remove rows of each phase that other rows determine; they are only checked."""
+        """Remove redundant rows of each phase, which other rows imply; they are only checked."""
         self.transcribed.drop(rows)
         for part in self.parts:
             part.describe()
@@ -133,7 +134,7 @@ class Staged:
         return other
 
     def set_instance(self, instance: Instance) -> None:
-        """Set the data of the problem."""
+        """Set the data of the solve."""
         if instance is self._instance:
             return
         self._instance = instance
@@ -146,7 +147,7 @@ class Staged:
     # ---- points ---------------------------------------------------------------------------------------------------
 
     def flat(self, point: Iterate) -> Array:
-        """z of a point."""
+        """The array z of a point."""
         z, states = np.zeros(self.transcription.stages.points), self._states(point)
         for part, at, xs in zip(self.parts, self._nodes_z, states):
             z[at] = part.point.joined(xs, 1)
@@ -155,7 +156,7 @@ class Staged:
         return z
 
     def point(self, z: Array) -> Iterate:
-        """The point of z; fixed durations are those of the present data."""
+        """The point of an array z; fixed durations are those of the present data."""
         us = np.zeros((self.transcribed.intervals, self.transcribed.m))
         us[self._us] = z[self._us_z]
         xs = [part.point.split(z[at]) for part, at in zip(self.parts, self._nodes_z)]
@@ -163,13 +164,13 @@ class Staged:
         return Iterate(xs[0] if self.transcribed.segments[0].alone else tuple(xs), us, border)
 
     def coordinates(self, z: Array) -> Array:
-        """v of a point z: states that are flat, controls and shared unknowns as they are, others zero."""
+        """The array v of a point z: flat states, controls and shared unknowns as they are, zeros elsewhere."""
         v = np.zeros(self.transcription.stages.variables)
         v[self.plain[1]] = z[self.plain[0]]
         return v
 
     def step(self, d: Array, u: Array, border: Array) -> Array:
-        """v of a step, d (nodes, n) and u (intervals, m) padded."""
+        """The array v of a step; d (nodes, n) and u (intervals, m) are padded."""
         v = np.zeros(self.transcription.stages.variables)
         for part, at in zip(self.parts, self._nodes_v):
             v[at] = d[part.stages, : part.shooting.n]
@@ -177,16 +178,16 @@ class Staged:
         return v
 
     def tangents(self, v: Array) -> list[Array]:
-        """(nodes, n) of v, of each phase."""
+        """The tangents (nodes, n) of each phase in v."""
         return [v[at] for at in self._nodes_v]
 
     def after(self, v: Array) -> Array:
-        """From entries of v to those of the states after each interval, in the order of the defects."""
+        """Entries of v, as those of the states after each interval in the order of the defects."""
         states = self.transcription.stages.states
         return np.concatenate([v[a : a + n] for a, n in zip(self.first[1:], states[1:])])
 
     def padded(self, of_defects: Array) -> Array:
-        """Numbers of all defects as (intervals, n)."""
+        """An array with an entry for each defect, padded to (intervals, n)."""
         counts = np.array(self.transcription.stages.after[:-1])
         result = np.zeros((len(counts), self.transcribed.n))
         result[np.arange(self.transcribed.n) < counts[:, None]] = of_defects
@@ -204,7 +205,7 @@ class Staged:
     # ---- limits and rows ------------------------------------------------------------------------------------------
 
     def limits(self, v: Array, instance: Instance) -> tuple[Array, Array]:
-        """Lower and upper bounds of coordinates v; equal where an entry is fixed."""
+        """Lower and upper bounds of the coordinates v; equal for a fixed entry."""
         lower, upper = np.full(len(v), -np.inf), np.full(len(v), np.inf)
         lower[self._shared[0] :], upper[self._shared[0] :] = np.asarray(instance.limits)[self.border.unknown].T
         rows, places, is_upper, limits = self._bounds
@@ -216,12 +217,12 @@ class Staged:
         return lower, upper
 
     def all_rows(self, h: Array, e: Array, lower: Array, upper: Array) -> Array:
-        """From entries of inequalities, of equalities and of both bounds of v to those of all rows."""
+        """An array with an entry for each row, from arrays for inequalities, equalities, and both bounds of v."""
         rows: Array = np.concatenate([h, e, lower, upper, np.zeros(1)])[self._places]
         return rows
 
     def split_rows(self, rows: Array) -> tuple[Array, Array, Array, Array]:
-        """The inverse of `all_rows`; entries that are no row are zero."""
+        """The inverse of `all_rows`; entries without a row are zero."""
         every = np.zeros(self._kinds[-1] + 1)
         every[self._places] = rows
         h, e, lower, upper = np.split(every[:-1], self._kinds[:-1])
@@ -235,13 +236,15 @@ class Staged:
         return np.repeat(every, stages.inequalities), np.repeat(every, stages.equalities)
 
     def _alone(self) -> list[tuple[Array, Array]]:
-        """All conditions, and of each path row the last place in each interval: its other places there look alike."""
+        """All conditions, and each path row at its last place in each interval, which represents its other places
+        there.
+        """
         rounds, none = list[tuple[Array, Array]](), np.zeros(0, int)
         for kind, stages in zip((INEQUALITY, EQUALITY), self.stages_of_rows):
             chosen = np.ones(len(stages), bool)
             for part, every in zip(self.parts, self.transcription.path_places):
                 exists = part.phase.path == kind
-                later = np.cumsum(exists[:, ::-1], axis=1)[:, ::-1]  # how many there are from each place on
+                later = np.cumsum(exists[:, ::-1], axis=1)[:, ::-1]  # the number of rows from each place on
                 chosen[every[exists & (later > 1)]] = False
             places = np.flatnonzero(chosen)
             numbers = np.arange(len(places)) - np.searchsorted(stages[places], stages[places])
@@ -251,7 +254,7 @@ class Staged:
         return rounds
 
     def levelled_rows(self, inequalities: Array, equalities: Array) -> tuple[Array, Array]:
-        """Sizes of rows: for a path row the largest of all its places; 1 if there is none."""
+        """Scales of rows: for a path row the largest over all its places; 1 if there is none."""
         result = []
         for values, (order, starts, groups) in zip((inequalities, equalities), self._levels):
             sizes = np.where(np.isfinite(values) & (values > 0.0), values, 0.0)
@@ -261,7 +264,9 @@ class Staged:
         return result[0], result[1]
 
     def _groups(self) -> list[tuple[Array, Array, Array]]:
-        """Of inequalities and of equalities: their order by groups of equal size, where groups start, their groups."""
+        """For inequalities and equalities: a permutation that sorts them into groups of equal size, the starts of the
+        groups, and the groups.
+        """
         groups = []
         for kind, count in zip((INEQUALITY, EQUALITY), self.transcription.stages.row_counts[1:]):
             labels, used = np.arange(count), count

@@ -1,4 +1,4 @@
-"""A phase of a staged problem: its rows in the form of the solver's core, or as bounds of single unknowns."""
+"""A phase of a staged problem, whose rows are general rows of the solver's core or bounds of single unknowns."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from .shooting import PhaseSegment, Shooting
 
 
 class Bounds(NamedTuple):
-    """Rows that limit a single unknown: the core takes them as bounds.
+    """Rows that limit a single unknown, which the core treats as bounds.
 
     Attributes:
-        rows: places among all rows of the phase.
-        stages, columns: where the unknown stands, column n + m + i for unknown i of the border.
-        upper: whether it is an upper limit.
-        limits: of leaves; NaN where it is that of a time or of a free parameter.
+        rows: their indices among all rows of the phase.
+        stages, columns: the position of the unknown; column n + m + i is unknown i of the shared ones.
+        upper: whether each is an upper limit.
+        limits: the limits of leaves; NaN for limits of a time or of a free parameter.
     """
 
     rows: Array
@@ -36,12 +36,12 @@ class StagedPhase:
     """A phase of a staged problem.
 
     Attributes:
-        shooting: the phase.
+        shooting: the transcribed phase.
         point: a node's states as one vector.
-        stages: its stages among all, the last one of the next phase's join.
+        stages: the indices of its stages in the whole problem; the last one is that of the join with the next phase.
         bounds: its rows that are limits of single unknowns.
-        meter: measures its sizes.
-        phase: for the core.
+        meter: measures the typical sizes of the phase.
+        phase: the phase in the form of the core.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class StagedPhase:
         self.describe()
 
     def describe(self) -> None:
-        """Describe the present rows."""
+        """Describe the present rows to the core."""
         shooting = self.shooting
         self.bounds = _bounds_of_rows(shooting)
         kinds = np.where(shooting.exists, np.where(shooting.equality, EQUALITY, INEQUALITY), NONE)
@@ -77,7 +77,7 @@ class StagedPhase:
         )
 
     def by_place(self, rows: Array) -> tuple[Array, list[Array]]:
-        """Values of all rows of the phase as those of path rows at their points, and of conditions at nodes."""
+        """Values of all rows of the phase, split into path rows at their points and conditions at nodes."""
         layout, K = self.shooting.layout, self.shooting.intervals
         inner, end = np.split(rows, [K * layout.per_interval])
         inner = inner.reshape(K, -1)
@@ -87,7 +87,7 @@ class StagedPhase:
         return path, [*(inner[k, len(layout.path_indices) :][: layout.counts[k]] for k in self._conditions), end]
 
     def all_rows(self, path: Array, nodes: Sequence[Array], rest: float = 0.0) -> Array:
-        """The inverse of `by_place`; rows without a place there get `rest`."""
+        """The inverse of `by_place`; rows that it does not contain get the value `rest`."""
         layout, K = self.shooting.layout, self.shooting.intervals
         *inner_nodes, end = nodes
         inner = np.full((K, layout.per_interval), rest)

@@ -13,12 +13,13 @@ from ...expr import Control, State
 from ...groups import Euclidean
 from .iterate import Instance, PhaseEnds
 
-#: A turn, in rad, after which a rotation's tangent space looks different.
+#: The rotation angle in rad that counts as the typical size of a rotation, at which its tangent space has changed
+#: noticeably.
 _TURN = 0.5
 
 
 def declared_scales(leaves: Sequence[State | Control]) -> Array:
-    """The declared scales of all tangents in one vector; by default 1, and half a radian for rotations."""
+    """The declared scales of all tangents as one vector; by default 1, and half a radian for rotations."""
     parts = [np.zeros(0)]
     for leaf in leaves:
         group = leaf.group if isinstance(leaf, State) else Euclidean(leaf.shape)
@@ -36,7 +37,7 @@ class Flat:
         self._ends = np.cumsum([0, *sizes]).tolist()
 
     def places(self, name: str) -> Array:
-        """Where the entries of an array stand in the vector."""
+        """The index range of an array in the vector."""
         k = list(self.shapes).index(name)
         return np.arange(self._ends[k], self._ends[k + 1])
 
@@ -46,7 +47,7 @@ class Flat:
         return {name: vector[..., a:b].reshape(*vector.shape[:-1], *shape) for (name, shape), a, b in places}
 
     def joined(self, arrays: Mapping[str, Any], axes: int = 0) -> Array:
-        """The vector (..., size) of arrays with so many axes in front."""
+        """The vector (..., size) of arrays with this number of leading axes."""
         flat = [np.reshape(arrays[name], (*np.shape(arrays[name])[:axes], -1)) for name in self.shapes]
         return np.concatenate(flat, axis=-1, dtype=float) if flat else np.zeros(0)
 
@@ -55,14 +56,15 @@ class Numbers:
     """The data of a solve as one vector: parameters, states at the ends of phases, limits of the shared unknowns.
 
     Args:
-        points: a node's states of each phase.
-        instance: what it is solved for, for shapes.
-        by_node: `ByNode` of each phase, the parameters that have a value for each node. Their rows follow the numbers.
+        points: a node's states, for each phase.
+        instance: data of a solve, for shapes.
+        by_node: for each phase the `ByNode` of the parameters with a value for each node. Their rows follow the
+            numbers.
 
     Attributes:
         size: of the vector without these rows.
-        names: the parameters, in their order.
-        key: equal where numbers are laid out alike.
+        names: the parameters in order.
+        key: equal for vectors of the same layout.
     """
 
     def __init__(self, points: Sequence[Flat], instance: Instance, by_node: Sequence[Any]) -> None:
@@ -95,12 +97,12 @@ class Numbers:
         return vector
 
     def node_rows(self, phase: int) -> tuple[int, int]:
-        """Where the rows of a phase begin, and how many entries each has."""
+        """The index of the first row of a phase's nodes, and the number of entries of a row."""
         sizes = [part.width * len(part.shares) for part in self._by_node[:phase]]
         return self.size + sum(sizes), self._by_node[phase].width
 
     def places(self, params: Iterable[str], final: Iterable[str]) -> Array:
-        """Where values of parameters stand, and of states at the end of the last phase."""
+        """The index ranges of the parameters, and of the final states of the last phase."""
         of_final = [self._ends[-3] + self._points[-1].places(name) for name in final]
         return np.concatenate([np.zeros(0, int), *map(self._params.places, params), *of_final])
 
@@ -117,14 +119,14 @@ class Numbers:
         return self._part(vector, len(self._ends) - 2).reshape(self._limits)
 
     def at_times(self, vector: Array, border: Array) -> Array:
-        """The numbers of a solve with other fixed durations, those of the shared unknowns."""
+        """The numbers of a solve with other fixed durations, taken from the shared unknowns."""
         vector = vector.copy()
         self.limits(vector)[:] = np.reshape(border, (-1, 1))
         return vector
 
     @property
     def final_time(self) -> Array:
-        """Where a fixed duration of a problem of one phase stands: it is both limits."""
+        """The index of the fixed duration of a problem of one phase, which is stored as both limits."""
         return self._ends[-2] + np.arange(2)
 
     def _part(self, vector: Any, k: int) -> Any:

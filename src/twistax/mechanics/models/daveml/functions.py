@@ -1,4 +1,4 @@
-"""Functions of a DAVE-ML file: variables that are tables of other variables."""
+"""Functions of a DAVE-ML file: variables that are tables over other variables."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ _GRIDDED, _UNGRIDDED = ("griddedTableDef", "griddedTable"), ("ungriddedTableDef"
 
 @dataclasses.dataclass(frozen=True)
 class TableLookup:
-    """A variable that a table gives.
+    """A variable whose value is looked up in a table.
 
     Attributes:
-        element: where the file says it.
-        output: varID of the value.
-        axes: how each input enters.
-        table: the values.
+        element: its element in the file.
+        output: varID of the variable.
+        axes: for each axis of the table, the input and its treatment.
+        table: the table of values.
     """
 
     element: Element
@@ -37,12 +37,12 @@ class TableLookup:
 
 
 def by_id(elements: Iterable[Element], attribute: str) -> dict[str, Element]:
-    """Elements by a name that only one may have. Raises ModelError."""
+    """Elements by an attribute that must be unique. Raises ModelError for a repeated one."""
     by_name: dict[str, Element] = {}
     for element in elements:
         name = element.text(attribute).strip()
         if name in by_name:
-            raise element.wrong(f"{attribute} {name!r} was defined before, in line {by_name[name].line}")
+            raise element.wrong(f"{attribute} {name!r} is already defined in line {by_name[name].line}")
         by_name[name] = element
     return by_name
 
@@ -56,7 +56,7 @@ def within(element: Element) -> Iterator[Element]:
 
 
 def needed(element: Element, *tags: str) -> Element:
-    """The first child of one of these tags. Raises ModelError where there is none."""
+    """The first child element with one of these tags. Raises ModelError if there is none."""
     matching = next((child for child in element.children if child.tag in tags), None)
     if matching is None:
         raise element.wrong(f"expected <{'> or <'.join(tags)}> inside")
@@ -64,7 +64,7 @@ def needed(element: Element, *tags: str) -> Element:
 
 
 class FunctionReader:
-    """Reads the functions of a file. A table that several use is read once."""
+    """Reads the functions of a file. A table that several functions use is read once."""
 
     def __init__(self, root: Element) -> None:
         self._breakpoints = {
@@ -89,7 +89,7 @@ class FunctionReader:
         else:
             table = self._table(needed(element, "functionDefn"))
         if len(axes) != len(table.breakpoints):
-            raise element.wrong(f"{len(axes)} independent variables for a table of {len(table.breakpoints)} axes")
+            raise element.wrong(f"{len(axes)} independent variables for a table with {len(table.breakpoints)} axes")
         return TableLookup(element, output.text("varID").strip(), axes, table)
 
     def _table(self, definition: Element) -> GriddedTable:
@@ -119,7 +119,7 @@ def referred(element: Element, attribute: str, known: Mapping[str, Any]) -> Any:
 
 
 def increasing(element: Element) -> np.ndarray:
-    """Breakpoints. Raises ModelError."""
+    """Breakpoints as an array. Raises ModelError if they do not increase."""
     values = element.values
     if len(values) < 2 or not (np.diff(values) > 0).all():
         raise element.wrong(f"expected two or more increasing breakpoints, got {values.tolist()}")
@@ -127,7 +127,7 @@ def increasing(element: Element) -> np.ndarray:
 
 
 def on_grid(breakpoints: list[np.ndarray], values: np.ndarray, element: Element) -> GriddedTable:
-    """Values in the order of the file as an array over the grid. Raises ModelError for another number of values."""
+    """Values in the order of the file as an array over the grid. Raises ModelError for a wrong number of values."""
     shape = tuple(map(len, breakpoints))
     if not shape or values.size != np.prod(shape):
         raise element.wrong(f"expected {' x '.join(map(str, shape)) or 'breakpoints and'} values, got {values.size}")
@@ -135,11 +135,13 @@ def on_grid(breakpoints: list[np.ndarray], values: np.ndarray, element: Element)
 
 
 def from_points(element: Element) -> GriddedTable:
-    """An ungridded table, in any order: of one input, or of points that fill a grid. Raises ModelError."""
+    """An ungridded table in any order, of a single input or of points that fill a grid. Raises ModelError for other
+    tables.
+    """
     rows = [point.values for point in element.all("dataPoint")]
     widths = {len(row) for row in rows}
     if len(widths) != 1 or widths.pop() < 2:
-        raise element.wrong("expected <dataPoint> elements with the same number of inputs and a value each")
+        raise element.wrong("expected <dataPoint> elements that have the same number of inputs and one value each")
     points = np.array(rows)
     breakpoints = [np.unique(column) for column in points[:, :-1].T]
     order = np.lexsort(points[:, -2::-1].T)

@@ -1,4 +1,4 @@
-"""Content MathML 2 as expressions: what DAVE-ML writes its calculations in. Angles are in rad."""
+"""Content MathML 2, the notation of calculations in DAVE-ML, as expressions. Angles are in rad."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ from ....expr import (
 )
 from ..xml_file import Element
 
-#: Deeper nesting is refused; what people write has a tenth of it.
+#: Deeper nesting is refused; usual files have a tenth of it.
 _DEPTH = 100
 
 Build = Callable[..., Expr]
 
 
 def _chain(holds: Callable[[Expr, Expr], Expr]) -> Build:
-    """A comparison of two or more, from each to the next."""
+    """A chain of comparisons of two or more operands, each with the next."""
     return lambda *a: All(*(holds(x, y) for x, y in pairwise(a))) if len(a) > 2 else holds(*a)
 
 
@@ -54,13 +54,13 @@ def _one_of(a: Expr, b: Expr) -> Expr:
 
 
 def _root(a: Expr, degree: Expr) -> Expr:
-    """The real root; of an odd degree negative numbers have one too."""
+    """The real root; for an odd degree also of negative numbers."""
     if isinstance(degree, Constant) and float(degree.value) % 2.0 == 1.0:
         return Sign(a) * Abs(a) ** (1.0 / degree)
     return a ** (1.0 / degree)
 
 
-#: Operators: the fewest and the most operands (None: any number), and what they build.
+#: Operators: the smallest and the largest number of operands (None: no limit), and the node that they build.
 _OPERATORS: dict[str, tuple[int, int | None, Build]] = {
     "plus": (1, None, lambda *a: reduce(lambda x, y: x + y, a)),
     "times": (1, None, lambda *a: reduce(lambda x, y: x * y, a)),
@@ -98,18 +98,18 @@ _OPERATORS: dict[str, tuple[int, int | None, Build]] = {
     "xor": (2, 2, _one_of),
     "implies": (2, 2, lambda a, b: Any(Not(a), b)),
 }
-#: What `csymbol` names beside MathML's own, by DAVE-ML's function spaces.
+#: Names of `csymbol` elements besides those of MathML, which are in DAVE-ML's function spaces.
 _SYMBOLS: dict[str, tuple[int, int | None, Build]] = {"atan2": (2, 2, Atan2)}
 _CONSTANTS: dict[str, Anything] = {"pi": math.pi, "exponentiale": math.e, "true": True, "false": False}
-#: Operators that have no value, or no derivative, for some operands.
+#: Operators whose value or derivative is undefined for some operands.
 _PARTIAL = {"root", "ln", "log", "arcsin", "arccos", "tan", "sec", "csc", "cot"}
 
 
 class Calculation:
     """One <math> element as an expression.
 
-    A branch of a <piecewise> that divides by something that may be zero, or takes a root, is built with `Cond`, so
-    that it is evaluated only where it is chosen; other branches with `Where`, which is faster.
+    A branch of a <piecewise> with a division whose divisor may be zero, or with a root, is built with `Cond`, so that
+    it is evaluated only if it is selected. Other branches are built with `Where`, which is faster.
 
     Args:
         variable: the expression of the variable that a <ci> names.
@@ -117,10 +117,10 @@ class Calculation:
 
     def __init__(self, variable: Callable[[Element], Expr]) -> None:
         self._variable = variable
-        self._partial = 0  # operations so far that are not defined everywhere
+        self._partial = 0  # the number of operations so far that are not defined everywhere
 
     def __call__(self, math: Element) -> Expr:
-        """The value of the one expression in <math>. Raises ModelError with element and line."""
+        """The value of the single expression in <math>. Raises ModelError with element and line."""
         return self._value(_only(math), 0)
 
     def _value(self, element: Element, depth: int) -> Expr:
@@ -146,7 +146,7 @@ class Calculation:
         if not element.children:
             raise element.wrong("expected an operator and its operands")
         operator, *rest = element.children
-        if operator.tag == "piecewise" and not rest:  # written so by some
+        if operator.tag == "piecewise" and not rest:  # some files use this form
             return self._value(operator, depth + 1)
         name, known = (operator.content.strip(), _SYMBOLS) if operator.tag == "csymbol" else (operator.tag, _OPERATORS)
         if name not in known:
@@ -177,7 +177,7 @@ class Calculation:
     def _piecewise(self, element: Element, depth: int) -> Expr:
         otherwise = element.first("otherwise")
         if otherwise is None:
-            raise element.wrong("expected <otherwise>: without it there is no value where no piece holds")
+            raise element.wrong("expected <otherwise>: without it there is no value if no condition holds")
         pieces = element.all("piece")
         for piece in pieces:
             if len(piece.children) != 2:
@@ -191,7 +191,7 @@ class Calculation:
 
 
 def names_in(math: Element) -> list[Element]:
-    """All <ci> of a <math>, in the order of the file."""
+    """All <ci> elements of a <math> element, in the order of the file."""
     names, pending = [], [math]
     while pending:
         element = pending.pop()

@@ -1,4 +1,4 @@
-"""A DAVE-ML file as expressions by name of variable."""
+"""A DAVE-ML file as expressions by variable."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from .mathml import Calculation, names_in
 from .static_checks import StaticCheck, read_shots
 from .tables import limited
 
-#: Marks of a variable whose value comes from outside.
+#: Marks of a variable whose value is an input.
 _GIVEN = ("isInput", "isControl", "isDisturbance", "isState")
-#: The elements allowed under the root. Any other element would change the meaning of the file.
+#: The elements allowed under the root. Other elements would change the meaning of the file.
 _KNOWN = {
     "fileHeader", "variableDef", "breakpointDef", "griddedTableDef", "ungriddedTableDef", "function", "checkData",
     "provenance", "description", "reference",
@@ -35,10 +35,10 @@ class Signal:
     """A variable of a file.
 
     Attributes:
-        name, units, sign, description: as in the file; empty where it says nothing.
+        name, units, sign, description: as in the file; empty if missing.
         initial: its `initialValue`, None if there is none.
-        minimum, maximum: it is kept between these; None where there is no limit.
-        place: file, line and element.
+        minimum, maximum: limits to which the value is clipped; None for no limit.
+        place: file, line and element, for messages.
     """
 
     name: str
@@ -53,7 +53,7 @@ class Signal:
 
 @dataclasses.dataclass(frozen=True)
 class _Rule:
-    """How a variable is computed from others."""
+    """The calculation of a variable from other variables."""
 
     needs: tuple[str, ...]
     build: Callable[[Mapping[str, Expr]], Expr]
@@ -71,8 +71,9 @@ class DaveModel:
     Attributes:
         name: the name in the file's header.
         variables: every variable by varID, as `Signal`.
-        inputs: variables that are marked as inputs, or have neither a calculation, a table nor an initial value.
-        outputs: variables that are marked as outputs; if there are none, those that no other variable depends on.
+        inputs: the variables that are marked as inputs, or that have neither a calculation, a table nor an initial
+            value.
+        outputs: the variables that are marked as outputs; if there are none, those that no other variable depends on.
     """
 
     def __init__(self, root: Element) -> None:
@@ -80,7 +81,9 @@ class DaveModel:
         self.name: str = "" if header is None else header.attributes.get("name", "")
         for child in root.children:
             if child.tag not in _KNOWN:
-                raise child.wrong(f"is not read; DAVE-ML has {', '.join(sorted(_KNOWN))} under <{root.tag}>")
+                raise child.wrong(
+                    f"is not supported; elements of DAVE-ML are {', '.join(sorted(_KNOWN))} under <{root.tag}>"
+                )
         self._root = root
         elements = by_id(root.all("variableDef"), "varID")
         if not elements:
@@ -98,7 +101,9 @@ class DaveModel:
         chosen = chosen or [name for name in elements if name not in used and name not in self.inputs]
         self.outputs: dict[str, Signal] = {name: self.variables[name] for name in chosen}
         self._leaves = {name: State(f"input{i}") for i, name in enumerate(self.inputs)}
-        self._built = self._build(self._leaves, self.variables)  # now, so that a broken file is refused now
+        self._built = self._build(
+            self._leaves, self.variables
+        )  # at this point, so that an invalid file is refused early
         self._shots = read_shots(root, {name: (one.name, one.units) for name, one in self.variables.items()})
 
     def __repr__(self) -> str:
@@ -118,12 +123,12 @@ class DaveModel:
         """Outputs as expressions of the inputs, by varID.
 
         Args:
-            inputs, named: scalars by varID, in the file's units: expressions, leaves or numbers. A variable that is no
-                input may be given too, a `Parameter` in place of a constant: its own calculation is then not used. What
-                is given is kept within the limits of the file.
-            outputs: varIDs of what is wanted, which may be any variables; those of `self.outputs` if left out.
+            inputs, named: scalars by varID, in the file's units: expressions, leaves or numbers. A value for another
+                variable replaces the variable's calculation, for example a `Parameter` in place of a constant. All
+                values are clipped to the limits of the file.
+            outputs: varIDs of the outputs, which may be any variables; by default those of `self.outputs`.
         Raises:
-            ModelError: an input is missing, unknown or given twice, or is no scalar; an unknown output.
+            ModelError: an input that is missing, unknown, repeated or not a scalar; an unknown output.
         """
         twice = sorted(set(inputs or {}) & set(named))
         if twice:
@@ -145,9 +150,10 @@ class DaveModel:
     def values(
         self, inputs: Mapping[str, float] | None = None, /, *, outputs: Iterable[str] | None = None, **named: float
     ) -> dict[str, float]:
-        """Outputs as numbers, in double precision, by varID. Arguments and errors are those of a call, with numbers.
+        """Outputs as numbers, in double precision, by varID. Arguments and errors are those of a call of the model,
+        with numbers.
 
-        Raises: ModelError also for an input or an output that is not a finite number.
+        Raises: ModelError, in addition, for an input or an output that is not a finite number.
         """
         for name, value in {**(inputs or {}), **named}.items():
             number(f"{self.name}: {name}", value, "a finite number", np.isfinite, ModelError)
@@ -162,13 +168,14 @@ class DaveModel:
         return values
 
     def check(self) -> list[StaticCheck]:
-        """Runs the static check-cases of the file, in double precision. Omitted inputs have their initial values.
+        """Run the static check-cases of the file, in double precision. Inputs that a case omits have their initial
+        values.
 
-        Returns: every output of every case; an empty list if the file has none.
+        Returns: a `StaticCheck` for every output of every case; an empty list if the file has no cases.
         Raises:
-            ModelError: the errors of outputs exceed their tolerances; it names them, and the first internal value of
-                the case with an error. A case omits an input without an initial value, or has a value for a variable
-                that is not an input.
+            ModelError: the errors of outputs exceed their tolerances; the message names these outputs, and the first
+                wrong internal value of the case. Also if a case omits an input without an initial value, or has a value
+                for a variable that is not an input.
         """
         if not self._shots:
             return []
@@ -185,7 +192,7 @@ class DaveModel:
                 f"within {check.tolerance}{self._first_off(check.shot, computed)}"
                 for check in wrong[:10]
             )
-            raise ModelError(f"{self.name}: {len(wrong)} of {len(checks)} static checks do not hold:\n  {off}")
+            raise ModelError(f"{self.name}: {len(wrong)} of {len(checks)} static checks fail:\n  {off}")
         return checks
 
     # ---- reading ---------------------------------------------------------------------------------------------------
@@ -212,7 +219,7 @@ class DaveModel:
     # ---- building --------------------------------------------------------------------------------------------------
 
     def _build(self, arguments: Mapping[str, Expr], wanted: Iterable[str]) -> dict[str, Expr]:
-        """The wanted variables, and those that they need, as expressions."""
+        """The requested variables, and those that they need, as expressions."""
         required, pending = set[str](), list(wanted)
         while pending:
             name = pending.pop()
@@ -246,13 +253,13 @@ class DaveModel:
     # ---- checking --------------------------------------------------------------------------------------------------
 
     def _at_shots(self) -> dict[str, list[float]]:
-        """The values of every variable at all static shots."""
+        """The values of every variable at the inputs of all static shots."""
         columns: dict[str, list[float]] = {name: [] for name in self.inputs}
         for shot in self._shots:
             for name, given_value in shot.inputs.items():
                 if name not in self.inputs and given_value.value != self.variables[name].initial:
                     raise given_value.element.wrong(
-                        f"gives {name!r} the value {given_value.value:g}, which is not an input"
+                        f"sets {name!r} to {given_value.value:g}, but {name!r} is not an input"
                     )
             for name, signal in self.inputs.items():
                 value = shot.inputs[name].value if name in shot.inputs else signal.initial
@@ -278,9 +285,9 @@ class DaveModel:
 def load_daveml(path: str | Path) -> DaveModel:
     """The model of the DAVE-ML file (ANSI/AIAA S-119-2011, DAVE-ML 1.9 to 2.0) at a path.
 
-    Supported are variables with limits and initial values, calculations in MathML, gridded tables, ungridded tables
-    whose points are a grid, linear and step interpolation, and static checks. A document type may be named and is not
-    opened; nothing is downloaded and nothing in the file is executed.
+    Supported features are variables with limits and initial values, calculations in MathML, gridded tables, ungridded
+    tables whose points form a grid, linear and step interpolation, and static checks. A document type may be declared
+    and is not opened. Nothing is downloaded, and nothing in the file is executed.
 
     Raises: ModelError with file, line and element.
     """
@@ -319,7 +326,7 @@ def _unknown(name: str, known: Iterable[str]) -> str:
 
 
 def _sorted(rules: Mapping[str, _Rule], elements: Mapping[str, Element]) -> list[str]:
-    """The variables in an order in which each comes after those that it needs. Raises ModelError for a cycle."""
+    """The variables in an order in which each follows those that it needs. Raises ModelError for a cycle."""
     order: dict[str, None] = {}
     for first in elements:
         stack, ancestors = [(first, False)], dict[str, None]()

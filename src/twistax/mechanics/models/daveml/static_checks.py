@@ -1,4 +1,4 @@
-"""The check-cases in a file: inputs, and the outputs that belong to them."""
+"""The check-cases in a file: inputs with the expected outputs."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from .functions import needed
 
 @dataclasses.dataclass(frozen=True)
 class StaticCheck:
-    """One output of one `staticShot`.
+    """The comparison of one output of one `staticShot`.
 
     Attributes:
         shot: name of the shot.
         output: varID.
-        expected, tolerance: as in the file; within the tolerance is right.
-        found: what the expressions give.
+        expected, tolerance: as in the file; an output is correct if its error is within the tolerance.
+        found: the value of the expressions.
         place: file, line and element, for messages.
     """
 
@@ -36,7 +36,7 @@ class StaticCheck:
 
 @dataclasses.dataclass(frozen=True)
 class Value:
-    """A signal of a shot: its element, its value and, of outputs, its tolerance."""
+    """A signal of a shot: its element, its value and, for outputs, its tolerance."""
 
     element: Element
     value: float
@@ -45,7 +45,7 @@ class Value:
 
 @dataclasses.dataclass(frozen=True)
 class Shot:
-    """A `staticShot`: values by varID. `internal` may help to find where a calculation went wrong."""
+    """A `staticShot`: values by varID. Values in `internal` may help to locate an error of a calculation."""
 
     name: str
     inputs: Mapping[str, Value]
@@ -58,7 +58,7 @@ def read_shots(root: Element, variables: Mapping[str, tuple[str, str]]) -> list[
 
     Args:
         variables: name and units by varID.
-    Raises: ModelError for a signal that is no variable, whose name several have, or that is in other units.
+    Raises: ModelError for a signal that is not a variable, whose name is ambiguous, or whose units differ.
     """
 
     def values(shot: Element, part: str) -> dict[str, Value]:
@@ -86,7 +86,7 @@ def _signal(signal: Element, variables: Mapping[str, tuple[str, str]]) -> tuple[
         raise signal.wrong(f"several variables have the name {word!r}: {', '.join(matching)}")
     units, variable_unit = signal.first("signalUnits"), variables[matching[0]][1]
     if units is not None and variable_unit and units.content.strip() not in ("", variable_unit):
-        raise signal.wrong(f"gives {word!r} in {units.content.strip()!r}, its variable is in {variable_unit!r}")
+        raise signal.wrong(f"gives {word!r} in {units.content.strip()!r}, but its variable is in {variable_unit!r}")
     value, tolerance = needed(signal, "signalValue"), signal.first("tol")
     return matching[0], Value(
         signal, value.read(value.content), 0.0 if tolerance is None else tolerance.read(tolerance.content)

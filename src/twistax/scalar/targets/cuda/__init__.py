@@ -1,1 +1,1 @@
-"""Scalar programs as kernels of CUDA devices: LLVM writes PTX, the driver assembles it, JAX calls the kernels."""
+"""Scalar programs as kernels for CUDA devices: LLVM writes PTX, the driver assembles it, JAX calls the kernels."""

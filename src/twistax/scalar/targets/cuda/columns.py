@@ -1,7 +1,7 @@
 """Large programs as several kernels, each for some columns of the results.
 
-All of a Jacobian in one thread takes more registers than there are: values spill into memory. Its columns share little
-but the function itself, which each kernel computes again.
+A whole Jacobian in one thread needs more registers than there are, so values are spilled to memory. Its columns share
+little except the function itself, which each kernel computes again.
 """
 
 from __future__ import annotations
@@ -20,7 +20,9 @@ MOST_OPERATIONS, MOST_REPEATED = 4000, 1.5
 
 
 def parts(program: ScalarProgram) -> list[ScalarProgram]:
-    """Programs that give some columns of the results each, in order; the program itself where that does not pay."""
+    """Programs that compute some columns of the results each, in order; the program itself if splitting gives no
+    speed-up.
+    """
     if program.operations <= MOST_OPERATIONS or not all(nodes.ndim for nodes in program.outputs):
         return [program]
     programs = list[ScalarProgram]()

@@ -1,7 +1,8 @@
-"""CUDA's driver, by ctypes: devices, and code that is loaded for all of them.
+"""CUDA's driver through ctypes: devices, and code that is loaded for all of them.
 
-Code belongs to no context: it is loaded once and runs in the context of the stream in which it is started (CUDA Driver
-API, Library Management). Contexts are the primary ones, which JAX and other libraries share. None is made or changed.
+Code belongs to no context: it is loaded once and runs in the context of the stream in which it is launched (CUDA Driver
+API, Library Management). Contexts are the primary ones, which JAX and other libraries share; none is created or
+changed.
 """
 
 from __future__ import annotations
@@ -141,7 +142,7 @@ class Driver:
 
 @functools.cache
 def driver() -> Driver:
-    """The driver. Raises BuildError where there is none of a sufficient version."""
+    """The driver. Raises BuildError if there is none of a sufficient version."""
     return Driver()
 
 

@@ -1,6 +1,6 @@
-"""A kernel body of one lane as a kernel for CUDA devices: a thread for each row, in PTX, which the driver assembles.
+"""A kernel body with one lane as a kernel for CUDA devices: a thread for each row, in PTX, which the driver assembles.
 
-PTX of a capability runs on all devices with that one or a higher one (NVIDIA, PTX ISA, section 2).
+PTX for a compute capability runs on all devices with that one or a higher one (NVIDIA, PTX ISA, section 2).
 """
 
 from __future__ import annotations
@@ -59,7 +59,9 @@ def device(capability: tuple[int, int]) -> Processor:
 
 
 def write_kernel(module: Module, body: BatchFunction) -> None:
-    """Add a kernel body of one lane, and its kernel, which takes pointers to all arrays, their strides and the rows."""
+    """Add a kernel body with one lane, and its kernel, which takes pointers to all arrays, their strides and the number
+    of rows.
+    """
     module.by_columns = True
     body.write(module)
     # The kernel body becomes part of the kernel, where LLVM sees to what memory its pointers point.
@@ -151,7 +153,7 @@ def _of_library(path: Path, names: tuple[str, ...], machine: Any) -> bytes:
 
 
 def libdevice() -> Path | None:
-    """CUDA's library of mathematics, of JAX's wheels or of a toolkit; None: there is none."""
+    """CUDA's device library of mathematical functions, from JAX's wheels or a toolkit; None if there is none."""
     return next((path for path in _libdevices() if path.is_file()), None)
 
 

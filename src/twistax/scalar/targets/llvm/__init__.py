@@ -1,1 +1,1 @@
-"""Scalar programs as machine code for the processor at hand, called from JAX on the CPU."""
+"""Scalar programs as machine code for this processor, called from JAX on the CPU."""

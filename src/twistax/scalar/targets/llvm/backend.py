@@ -99,7 +99,7 @@ class Target(ABC):
 
 
 class Host(Target):
-    """This processor: as many members side by side as a vector has lanes."""
+    """This processor: it computes as many members at once as a vector has lanes."""
 
     present, note = True, ""
 
@@ -111,7 +111,7 @@ class Host(Target):
 
 
 class Cuda(Target):
-    """Devices of CUDA: a thread for each member."""
+    """CUDA devices: a thread for each member."""
 
     @property
     def present(self) -> bool:
@@ -140,7 +140,7 @@ TARGETS: Mapping[str, Target] = {"cpu": Host(), "cuda": Cuda()}
 
 
 def notes() -> str:
-    """How native programs run on the devices of this process."""
+    """A text on the execution of native programs on the devices of this process."""
     return "".join(f"; {target.note}" for target in TARGETS.values() if target.present and target.note)
 
 
@@ -233,7 +233,7 @@ class KernelRunner:
 
 @dataclasses.dataclass(frozen=True)
 class Native(Backend):
-    """Runs functions as kernels: machine code of their scalar programs, compiled by LLVM in this process.
+    """Executes functions as kernels: machine code of their scalar programs, compiled by LLVM in this process.
 
     Members of a batch run in vector lanes, or each in a thread of a CUDA device. Native
     needs llvmlite, `pip install "twistax[native]"`. It runs calls, batches and derivatives of functions on the CPU and
@@ -241,9 +241,10 @@ class Native(Backend):
     Other loops of integrators, other devices, and functions without a native form use the backend `scalars`.
 
     Attributes:
-        scalars: the backend that makes scalar programs of functions, and runs them where there is no kernel.
+        scalars: the backend that builds the scalar programs of functions, and executes functions without a kernel.
         threads: the largest number of threads that share a large batch; None: the number of XLA's threads.
-        least: calls with fewer scalar operations in the whole batch run by XLA; a kernel call takes some 100 ns.
+        least: calls with fewer scalar operations in the whole batch are executed by XLA; a kernel call takes some 100
+            ns.
 
     Raises:
         ModelError: threads below one, or least below zero.
@@ -359,7 +360,7 @@ class _InLoops(Native):
 
 @dataclasses.dataclass(frozen=True)
 class Auto(Native):
-    """What `backend="auto"` means: `XLA`, and where llvmlite is installed kernels for what it makes scalars of.
+    """The backend of `backend="auto"`: `XLA`, with kernels for its scalar programs if llvmlite is installed.
 
     Attributes: as those of `Native`.
     """

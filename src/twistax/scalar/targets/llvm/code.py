@@ -1,4 +1,4 @@
-"""Text of LLVM's intermediate language: instructions on vectors, one after the other."""
+"""Code in LLVM's intermediate language: instructions on vectors."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _TOGETHER = 4
 
 
 class Module:
-    """What is compiled together: functions and what they declare."""
+    """A unit of compilation: functions and their declarations."""
 
     def __init__(self, processor: Processor) -> None:
         self.processor = processor
@@ -382,7 +382,7 @@ def _number(kind: str, value: Any) -> str:
 
 
 def addressed(text: str) -> str:
-    """Text in which loads and stores have an offset in bytes, `ptr %a + 8`, as LLVM reads it."""
+    """LLVM code from text in which loads and stores have an offset in bytes, `ptr %a + 8`."""
     count = itertools.count()
 
     def split(match: re.Match[str]) -> str:

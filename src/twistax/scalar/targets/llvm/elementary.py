@@ -1,4 +1,4 @@
-"""Elementary functions in two precisions: the precisions, and the exponential with what is made of it.
+"""Elementary functions in two precisions: the exponential and functions derived from it.
 
 `trigonometry.py` has sine and cosine. The exponential: x = k log 2 + r with |r| <= log(2) / 2 (W. J. Cody and
 W. Waite, Software Manual for the Elementary Functions, 1980), and a Taylor series in r. Below 2 units in the last
@@ -24,7 +24,7 @@ _BOUNDS = {"double": (-800.0, 800.0, -60.0), "float": (-110.0, 110.0, -30.0)}
 
 
 class Writer(Protocol):
-    """What formulas are written with; see `Code`."""
+    """The interface by which formulas write code; see `Code`."""
 
     module: Any
 
@@ -69,7 +69,7 @@ DOUBLE, SINGLE = Precision("double", "i64", 52, 1023), Precision("float", "i32",
 
 
 def computed_in(code: Writer, kind: str) -> Precision:
-    """The precision in which functions of a type are computed: double where the processor has the time."""
+    """The precision in which functions of a type are computed: double if the processor is fast enough."""
     return SINGLE if kind == "float" and code.module.processor.narrow else DOUBLE
 
 
@@ -92,7 +92,7 @@ def exponential(code: Writer, precision: Precision, x: str) -> str:
 
 
 def exponential_less_one(code: Writer, precision: Precision, x: str) -> str:
-    """e^x - 1, also of small x."""
+    """e^x - 1, accurate for small x."""
     # (2^h s + (2^h - 2^-l)) 2^l with k = h + l and the series s.
     _, most, least = _BOUNDS[precision.kind]
     series, high, low = _reduced(code, precision, x, least, most)

@@ -1,6 +1,7 @@
-"""The function that XLA calls by its typed foreign-function interface, `handler.ll`: checks, then the start of rows.
+"""The function that XLA calls through its typed foreign-function interface, `handler.ll`: checks, then the loop over
+rows.
 
-What differs from kernel to kernel is filled in here.
+The parts that differ between kernels are filled in here.
 """
 
 from __future__ import annotations
@@ -89,7 +90,9 @@ def _template(name: str) -> Template:
 
 
 def write_host_handler(module: Module, body: BatchFunction, threads: int) -> None:
-    """Adds `run(table, first, end)`, some rows of the arrays in a table, and `handler(frame)`, all, by many threads."""
+    """Add `run(table, first, end)`, which computes some rows of the arrays in a table, and `handler(frame)`, which
+    computes all rows by several threads.
+    """
     arrays = body.arrays
     text = _template("kernel").substitute(
         pointers="\n".join(_POINTER.format(k=k, name=name, stride=k + len(arrays)) for k, name in enumerate(arrays)),
@@ -111,7 +114,7 @@ def write_host_handler(module: Module, body: BatchFunction, threads: int) -> Non
 
 
 def write_device_handler(module: Module, body: BatchFunction, block: int) -> None:
-    """Adds `handler(frame)`, which starts so many threads at a time on a device, one for each row."""
+    """Add `handler(frame)`, which launches this number of threads at a time on a device, one for each row."""
     count = 2 * len(body.arrays)
     end = len(_NOT_STARTED)
     digits = ("hundreds", end - 3), ("tens", end - 2), ("code", end - 1)
@@ -191,7 +194,7 @@ ret ptr %error
 
 
 def write_slots(module: Module, count: int) -> list[str]:
-    """Add handlers that call the kernels whose addresses stand in the variable `places`; return their names."""
+    """Add handlers that call the kernels whose addresses are in the variable `places`; return their names."""
     message = "a kernel of twistax is called, and what it was compiled for is gone"
     failed = _template("handler").template.partition("define internal ptr @failed")
     module.functions["places"] = "\n".join(

@@ -1,4 +1,6 @@
-"""A loop over a step as one function, each batch member as long as its loop goes on; and rows that the loop fills."""
+"""A loop over a step as one function, in which each batch member iterates until its loop ends; and rows that the loop
+fills.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,8 @@ _MARK_OFFSETS = np.array([-1e-3, 0.0, 1e3])
 
 
 class Iterations(KernelBody):
-    """state = step(k, fixed, state) for k = first, first + 1, ..., stop - 1, or until it ends as `repeat` says.
+    """The loop state = step(k, fixed, state) for k = first, first + 1, ..., stop - 1, or until it ends, as documented
+    in `repeat`.
 
     Takes (first, stop, *fixed, *state), gives (*state, k): the state, and the number of the next iteration. Each member
     iterates as long as it must. What stays the same is computed once. The program takes (k, *fixed, *state), and gives

@@ -36,7 +36,7 @@ _RETIREMENT = 30.0
 
 
 class CodeHandle(Protocol):
-    """The code that kernels of one target share."""
+    """The code that all kernels of one target share."""
 
     @property
     def checked(self) -> bool:
@@ -51,7 +51,7 @@ class CodeHandle(Protocol):
 
 
 class HostCodeHandle:
-    """The machine code that kernels of one target share.
+    """The machine code that all kernels of one target share.
 
     Code from the cache has passed the self-test, under the same versions of twistax, JAX and llvmlite.
     """
@@ -161,7 +161,7 @@ class Kernel(ABC):
 
 
 class HostKernel(Kernel):
-    """A kernel in machine code of a processor, for at most so many threads; all if None.
+    """A kernel in machine code of a processor, for at most this number of threads; None means all.
 
     Raises:
         ImportError: llvmlite is not installed.
@@ -236,12 +236,12 @@ def _free() -> None:
 
 
 def is_in_use(target: str) -> bool:
-    """Whether a kernel with the name of a target lives."""
+    """Whether a kernel with the name of a target is in use."""
     return target in _CODE
 
 
 def named(text: str, processor: Processor) -> str:
-    """The name of a target, from its code and its processor, so that it is the same in every process."""
+    """The name of a target, derived from its code and its processor, so that it is the same in every process."""
     return f"twistax_{digest(text, written_by(processor), str(API))[:32]}"
 
 

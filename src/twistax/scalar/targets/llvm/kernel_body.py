@@ -140,7 +140,8 @@ class Scalars:
 
 
 class BatchFunction(ABC):
-    """A function `tile(last, arguments, results)` of rows 0 to `last` of arrays, at most as many as a vector has lanes.
+    """A function `tile(last, arguments, results)` of the rows 0 to `last` of arrays, at most as many as a vector has
+    lanes.
 
     Attributes:
         lanes: rows computed side by side.
@@ -230,7 +231,7 @@ class KernelBody(BatchFunction):
 
 
 class Straight(KernelBody):
-    """A program, from its arguments to its results."""
+    """A straight-line program, from its arguments to its results."""
 
     #: Operations on scalars that a thread takes at a time, some 5 us.
     _CHUNK = 250_000

@@ -1,4 +1,4 @@
-"""Reading and writing rows: lane k of a vector is the entry of row k."""
+"""Reading and writing of rows: lane k of a vector is the entry of row k."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A loop of JAX, `scan` or `while_loop`, as one function: all iterations, for a vector of batch members."""
+"""A loop of JAX, `scan` or `while_loop`, as one function with all iterations, for a vector of batch members."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _MOST = 0.75
 
 
 class LoopBody(KernelBody):
-    """The kernel body of a loop: takes (count, *fixed, *state, *rows), gives (*state, *rows).
+    """The kernel body of a loop, from (count, *fixed, *state, *rows) to (*state, *rows).
 
     The count of a scan is its length, at least one, which no kernel depends on. That of a `while_loop` bounds the
     iterations; -1: nothing does.

@@ -1,4 +1,4 @@
-"""A processor, and intermediate language to functions in memory for it."""
+"""The host processor, and the compilation of LLVM code to functions in memory."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _LEVELS = {128: ("x86-64", False), 256: ("x86-64-v3", True)}
 
 @dataclasses.dataclass(frozen=True)
 class Processor:
-    """A processor as LLVM names it, and what its vectors can do."""
+    """A processor by its LLVM name, and the features of its vectors."""
 
     name: str
     features: str  # as "+avx2,-avx512f"; empty where the name says all
@@ -90,7 +90,7 @@ _LOCK = threading.Lock()
 
 
 class BuildError(Exception):
-    """Machine code could not be made; the message says why."""
+    """Machine code could not be generated; the message says why."""
 
 
 class MachineCode:
@@ -121,12 +121,12 @@ _OPTIONS: dict[str, Any] = {"reloc": "pic", "codemodel": "jitdefault", "jit": Tr
 
 
 def installed() -> bool:
-    """Whether llvmlite is, which compiles kernels."""
+    """Whether llvmlite, which compiles kernels, is installed."""
     return importlib.util.find_spec("llvmlite") is not None
 
 
 def written_by(processor: Processor) -> str:
-    """Everything besides the compiled text on which machine code depends."""
+    """The information, besides the compiled text, on which machine code depends."""
     import llvmlite
     import llvmlite.binding as llvm
 
@@ -143,7 +143,7 @@ def written_by(processor: Processor) -> str:
 
 
 def compiled(text: str, processor: Processor, long: bool = False, packed: bool = False) -> bytes:
-    """The machine code of intermediate language, as the content of object files, each after its length.
+    """The machine code of LLVM code, as the contents of object files, each after its length.
 
     Args:
         text: texts that `APART` divides are compiled one by one. They declare what they call of each other.
@@ -225,7 +225,7 @@ def load(
     addresses: Mapping[str, int] = MappingProxyType({}),
     groups: Sequence[Sequence[str]] = (),
 ) -> MachineCode:
-    """The functions and variables of these names.
+    """The functions and variables with these names.
 
     Args:
         library: the functions of the C library that are called.

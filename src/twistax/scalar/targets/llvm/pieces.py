@@ -1,7 +1,7 @@
-"""A straight program as several functions, in which few values wait for their use.
+"""A straight-line program as several functions, in which few values are live at a time.
 
-LLVM takes most of its time to choose which values of a long function pass through memory, for there are few registers.
-Here that is decided before: LLVM then takes a third of the time, and its code runs faster.
+For a long function, LLVM spends most of its time on register allocation. Here the values to spill are chosen in
+advance: LLVM then takes a third of the time, and its code runs faster.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class PieceStep(NamedTuple):
 
 
 class Scratch:
-    """The nodes that pass from piece to piece, and their places in memory.
+    """The nodes that are passed between pieces, and their positions in memory.
 
     Args:
         program: in the order in which it is computed.

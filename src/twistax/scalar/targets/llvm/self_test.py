@@ -1,4 +1,4 @@
-"""The self-test of a kernel: its results against those of NumPy, once, before anything relies on it."""
+"""The self-test of a kernel: its results are compared once with those of NumPy before the first use."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ from .machine_code import installed
 
 @dataclasses.dataclass(frozen=True)
 class StepKernels(StepCompiler):
-    """Steps as kernels, and as scalars where they have no native form."""
+    """Steps as kernels, or as scalar programs if they have no native form."""
 
     scalars: XLA
     runner: Any  #: makes the kernels

@@ -1,1 +1,1 @@
-"""Bridges: maps of a statement to a simpler one that the transcription knows, and of its solution back."""
+"""Bridges: reformulations of a problem into a simpler one that the transcription supports, and of the solution back."""

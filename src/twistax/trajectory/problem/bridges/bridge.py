@@ -1,4 +1,6 @@
-"""Bridges: a statement becomes a simpler one, and a trajectory of that becomes one of the statement again."""
+"""The interface of bridges. A bridge reformulates a problem as a simpler one, and maps trajectories of either to the
+other.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,7 @@ from ..controls import Spline
 from ..statement import Objective
 from ..terms import above, bounds_along
 
-#: A control of less than this share of its size says nothing of it.
+#: A control below this fraction of its typical size does not determine the sign of its bound.
 _NOTHING = 1e-4
 
 
@@ -26,8 +28,8 @@ class Statement:
 
     Attributes:
         dynamics, objective: as they are before a bridge.
-        rows: number of a node -> its constraints by name; the first and the last node are always there.
-        controls: name of a continuous control -> how it goes on between nodes.
+        rows: the constraints of each node with constraints, by name. The first and the last node are always keys.
+        controls: the interpolation between nodes of each continuous control, by its name.
     """
 
     dynamics: Dynamics
@@ -41,10 +43,11 @@ class Statement:
         return max(self.rows)
 
     def substituted(self, put: Callable[[Expr, bool], Expr]) -> Statement:
-        """A copy with substituted expressions in objective and constraints.
+        """A copy with some expressions of the objective and the constraints replaced.
 
         Args:
-            put: gives another expression for one; its second argument says whether that is of the last node.
+            put: returns the expression that replaces its first argument; the second argument is whether that belongs to
+                the last node.
         """
         final, running = self.objective.final, self.objective.running
         objective = type(self.objective)(
@@ -60,7 +63,7 @@ class Statement:
 
 
 def place_of(node: int, last: int) -> str:
-    """The name of a node in the names of its conditions."""
+    """The suffix that names a node in the names of its conditions."""
     return {0: "initial", last: "final"}.get(node, f"node {node}")
 
 
@@ -72,12 +75,12 @@ def extended(
     controls: Collection[Control] = (),
     dropped: Collection[str] = (),
 ) -> Dynamics:
-    """A system with more states, constraints and controls, compiled as it was.
+    """A compiled copy of a system with additional states, constraints and controls, and with the same compile options.
 
     Args:
-        put: gives another expression for each of the system.
-        controls: added, beside those that rates and constraints read.
-        dropped: names of controls that go.
+        put: returns the expression that replaces an expression of the system.
+        controls: additional controls, besides those that rates and constraints read.
+        dropped: names of the controls that are removed.
     """
     system = dynamics.system
     constraints = {n: type(c)(put(c.lhs), put(c.rhs)) for n, c in {**system.constraints, **rows}.items()}
@@ -104,13 +107,13 @@ def extended(
 
 @dataclasses.dataclass
 class Path:
-    """States and controls at nodes, or over intervals, which bridges transform.
+    """States and controls of a trajectory, which bridges transform.
 
     Attributes:
         ts: (nodes,) times.
-        xs, us: by name.
+        xs, us: states at the nodes and controls over the intervals, by name.
         params: values of the parameters.
-        sizes: of controls, by name, where they are known.
+        sizes: typical sizes of controls, by name; may be incomplete.
     """
 
     ts: Array
@@ -120,12 +123,14 @@ class Path:
     sizes: Mapping[str, Array] = dataclasses.field(default_factory=dict)
 
     def sized(self, side: float = 1.0) -> Path:
-        """A copy in which controls close to zero have their typical sizes, or the negatives of these."""
+        """A copy in which controls that are close to zero are replaced by plus or minus their typical sizes."""
         sizes = {name: side * size for name, size in self.sizes.items()}
         return dataclasses.replace(self, xs=_sized(self.xs, sizes), us=_sized(self.us, sizes))
 
     def add_bounds(self, bounds: Mapping[str, Expr]) -> None:
-        """Start bounds slightly above what they bound; controls that are nearly zero count with typical sizes."""
+        """Initialise bounds slightly above the values that they bound; controls that are nearly zero are replaced by
+        typical sizes.
+        """
         sized = self.sized()
         for name, values in bounds_along(bounds, sized.xs | sized.us, self.params).items():
             (self.us if name in self.us else self.xs)[name] = above(values)
@@ -140,11 +145,12 @@ def _sized(values: Mapping[str, Array], sizes: Mapping[str, Array]) -> dict[str,
 
 
 class Bridge:
-    """A map of a statement to a simpler one, and of its trajectories back. This one adds nothing.
+    """A reformulation of a problem as a simpler one, with the map of trajectories in both directions. This base class
+    changes nothing.
 
     Attributes:
-        statement: what it becomes.
-        free: parameters that it added, with limits (low, high).
+        statement: the reformulated problem.
+        free: the parameters that the bridge introduces, with limits (low, high).
     """
 
     statement: Statement
@@ -158,8 +164,10 @@ class Bridge:
         return {}
 
     def forward(self, path: Path) -> None:
-        """Add what this bridge introduced to a trajectory as stated; bounds are tight."""
+        """Transform a trajectory of the original problem: add the variables of this bridge, with tight bounds."""
 
     def back(self, xs: dict[str, Any], us: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Remove what this bridge introduced from states and controls."""
+        """Transform a trajectory of the reformulated problem: remove the variables of this bridge from states and
+        controls.
+        """
         return xs, us

@@ -1,9 +1,9 @@
-"""A statement with continuous controls and free node times, restated with held controls and nodes at given shares.
+"""The bridge for continuous controls and free node times. The result has piecewise constant controls and fixed nodes.
 
-A linear control becomes a state with a held rate, a spline a chain of states with a held last derivative. With free
-node times, interval k is s_k times as long as its share of the final time says: a held control, the pace s, multiplies
-all rates and the running cost, and time becomes a state with rate 1, which ends at the final time. So all of them keep
-the problem in stages.
+A linear control becomes a state with a piecewise constant rate. A spline becomes a chain of integrators, whose last
+derivative is piecewise constant. With free node times, the length of interval k is s_k times its fraction of the final
+time: an additional piecewise constant control s multiplies all rates and the running cost. Time becomes a
+state, which ends at the final time. The problem keeps its stage structure.
 """
 
 from __future__ import annotations
@@ -25,25 +25,25 @@ from ..statement import Objective
 from ..terms import bound_row, is_mixed, sizes_in
 from .bridge import Bridge, Path, Statement, extended
 
-#: Names of what free node times add.
+#: Names of the variables that free node times add.
 _CLOCK, _PACE = "time of the node", "pace of the interval"
 
 
 class ContinuousControls(Bridge):
-    """A statement with held controls and nodes at given shares.
+    """A problem with piecewise constant controls and nodes at fixed fractions of the final time.
 
     Args:
-        statement: with continuous controls.
-        mesh: whose intervals may be free.
-        first: whether the path begins here, and not with another phase.
+        statement: the problem with continuous controls.
+        mesh: the mesh; its intervals may have free lengths.
+        first: whether the path starts in this phase, and does not continue another one.
 
     Attributes:
-        controls: those of the system before, without rates.
+        controls: the controls of the original system, without rates.
         straight: names of the states that are linear over each interval.
-        rates: name of a held derivative of a continuous control -> of which order it is.
-        bounds: name of a continuous bound that was added -> the size of controls that it bounds.
-        at_join: state -> what it begins as after another phase, of the end of that.
-        pace: the name of the control that says how long intervals are, None where they are not free.
+        rates: name of a piecewise constant derivative of a continuous control -> the order of that derivative.
+        bounds: name of an additional continuous bound -> the norm of controls that it bounds.
+        at_join: state -> its initial value after another phase, as an expression of the end of that phase.
+        pace: the name of the control that scales interval lengths; None for fixed node times.
 
     Raises:
         ModelError: see `continuous_controls`.
@@ -56,7 +56,7 @@ class ContinuousControls(Bridge):
         self._mesh, self._smooth = mesh, {c.name: c for c in self.controls if c.name in continuous}
         self.pace = None if mesh.free is None else _PACE
         self.at_join: dict[str, Expr] = {_CLOCK: Time()} if self.pace else {}
-        #: Of every continuous control itself and its derivatives, the last one held.
+        #: For each continuous control: the control and its derivatives. The last derivative is piecewise constant.
         self._chains: dict[str, tuple[list[State], Control]] = {}
         self.rates: dict[str, int] = {}
         self.bounds: dict[str, Expr] = {}
@@ -75,7 +75,7 @@ class ContinuousControls(Bridge):
         if self.pace:
             self._exchange[Time().key()] = clock
         self.straight = {name for name, (states, _) in self._chains.items() if len(states) == 1}
-        #: States that the system before does not have.
+        #: Additional states of the reformulated system.
         self.hidden = {s.name for states, _ in self._chains.values() for s in states}
         self.hidden |= {_CLOCK} if self.pace else set()
         if self._exchange:
@@ -87,19 +87,19 @@ class ContinuousControls(Bridge):
         self.statement = statement
 
     def _add(self, leaf: Control, spline: Spline) -> None:
-        """Replace a continuous control by a chain of states with a held last derivative."""
+        """Replace a continuous control by a chain of integrators with a piecewise constant last derivative."""
         states, last = self._chains[leaf.name] = spline.leaves(leaf)
         self.rates[last.name] = len(states)
         self._exchange |= {leaf.key(): states[0], last.key(): last}
         self._exchange |= {Control(s.name, s.shape).key(): s for s in states[1:]}
 
     def put(self, expr: Expr, last: bool = False) -> Expr:
-        """An expression with states for continuous controls and time. At the last node time is the final time."""
+        """An expression with states for continuous controls and, before the last node, for time."""
         clock = Time().key()
         return substitute(expr, {key: e for key, e in self._exchange.items() if not (last and key == clock)})
 
     def _compiled(self, dynamics: Dynamics, rows: Mapping[str, Constraint], clock: State) -> Dynamics:
-        """The system with continuous controls as states, and with a clock if node times are free."""
+        """The system with continuous controls as states, and with time as a state if node times are free."""
         rates: dict[State, Any] = {}
         for states, last in self._chains.values():
             rates |= zip(states, [*states[1:], last])
@@ -117,7 +117,9 @@ class ContinuousControls(Bridge):
 
     @property
     def derivatives(self) -> dict[str, str]:
-        """Name of the held derivative of a continuous control -> the expression that users write for it."""
+        """Name of the piecewise constant derivative of a continuous control -> the expression by
+        which users write it.
+        """
         return {
             last.name: f"{'Rate(' * len(states)}{name}{')' * len(states)}"
             for name, (states, last) in self._chains.items()
@@ -126,7 +128,7 @@ class ContinuousControls(Bridge):
     # ---- between what users see and what is solved ------------------------------------------------------------------
 
     def times(self, xs: Mapping[str, Any], shares: Array) -> Any:
-        """The times of the nodes, by the states there and the times at which fixed nodes would lie."""
+        """The node times, from the states at the nodes and the node times of a fixed mesh."""
         return shares if self.pace is None else xs[_CLOCK]
 
     def back(self, xs: dict[str, Any], us: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -134,7 +136,7 @@ class ContinuousControls(Bridge):
         return seen, {c.name: xs[c.name] if c.name in self._smooth else us[c.name] for c in self.controls}
 
     def held(self, ts: Array, us: Mapping[str, Array], xs: Mapping[str, Array]) -> dict[str, Array]:
-        """The held controls of the system after the bridge, by the controls and states of a trajectory."""
+        """The piecewise constant controls of the reformulated system, from the controls and states of a trajectory."""
         controls = {name: values for name, values in us.items() if name not in self._smooth}
         steps = np.diff(ts)
         for states, last in self._chains.values():
@@ -170,12 +172,14 @@ class ContinuousControls(Bridge):
         path.us = self.held(path.ts, path.us, path.xs)
 
     def at_rest(self, controls: dict[str, Any]) -> dict[str, Any]:
-        """Held controls that keep linear controls constant, and let splines continue with their derivatives."""
+        """The controls with zeros for the piecewise constant derivatives of linear controls and splines."""
         return {name: 0.0 * values if name in self.rates else values for name, values in controls.items()}
 
 
 def _with_bounds(objective: Objective, smooth: set[str]) -> tuple[Expr | None, list[tuple[Control, Expr]]]:
-    """The running cost with a linear control in place of each norm of continuous controls, and what that bounds."""
+    """The running cost with a linear control as the bound of each norm of continuous controls, and the norms that these
+    bound.
+    """
     running, controls, sizes = sizes_in(objective.running, objective.sign)
     bounds, back = [], {}
     for bound, size in zip(controls, sizes):

@@ -1,9 +1,9 @@
-"""A statement with functionals of whole paths, reduced to one without.
+"""The bridge for functionals of the whole path: integrals, extremes and initial values.
 
-An integral becomes a state with the integrand as its rate, as Bolza's form of a problem becomes Mayer's; where it is
-pushed down, each norm of controls in it has a bound, a control of its own, so that there is no kink. The largest
-value of an expression becomes a free parameter s with expression <= s along the path. Where a state began becomes a
-state that does not change, equal to the first at the first node. All of them keep the names that users gave.
+An integral becomes a state whose rate is the integrand (Bolza form becomes Mayer form). If the problem minimises the
+integral, each norm of controls in the integrand is replaced by a bound, an additional control, so that the integrand is
+smooth. The largest value of an expression becomes a free parameter s with expression <= s along the path. An initial
+value becomes a constant state that equals the initial state at the first node. Names that users defined are kept.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ from .bridge import Bridge, Path, Statement, extended
 
 @dataclasses.dataclass(frozen=True)
 class InPhase:
-    """The facts about the whole problem that a phase needs.
+    """The properties of the whole problem that the reformulation of a phase depends on.
 
     Attributes:
-        name: which parameters of extremes have in front.
-        carried: where states of the first phase began, for this phase or a later one.
-        first, last: whether the path begins here, and ends here.
+        name: prefix of the names of the parameters for extremes.
+        carried: names of initial states of the first phase that this phase or a later one reads.
+        first, last: whether the path starts or ends in this phase.
     """
 
     name: str = ""
@@ -54,21 +54,21 @@ class InPhase:
 
 
 class LiftedFunctionals(Bridge):
-    """A statement without functionals.
+    """A problem whose functionals are replaced by states and parameters.
 
     Args:
-        statement: with functionals.
-        within: what the phase knows of the problem.
+        statement: the problem with functionals.
+        within: the properties of the whole problem.
 
     Attributes:
-        states: the states of the system as users wrote it.
-        integrals, starts: states that were added, by name: the integral, the state that began so.
-        extremes: name of the constraint along the path -> the extreme, and the name of its parameter.
-        bounds: name of a control that was added -> the norm of controls that it bounds.
-        loose: names of the integrals with such bounds, which may be above the integrals that they stand for.
+        states: the states of the original system.
+        integrals, starts: additional states by name, and the integral or the initial value that each represents.
+        extremes: name of the path constraint -> the extreme, and the name of its parameter.
+        bounds: name of an additional control -> the norm of controls that it bounds.
+        loose: names of the integrals with such bounds; the state may exceed the integral that it represents.
 
     Raises:
-        ModelError: a functional where it has no meaning, or that would be unbounded.
+        ModelError: a functional where it is not defined, or one that would be unbounded.
     """
 
     def __init__(self, statement: Statement, within: InPhase = InPhase()) -> None:
@@ -103,7 +103,7 @@ class LiftedFunctionals(Bridge):
         self.free = {name: (None, None) for _, name in self.extremes.values()}
 
     def _smooth_bounds(self, controls: Mapping[str, Spline]) -> dict[str, Spline]:
-        """Bounds on norms of continuous controls are as smooth as these."""
+        """The continuous controls that bound norms of continuous controls, with the same interpolation."""
         splines = dict[str, Spline]()
         for name, part in self.bounds.items():
             degrees = [
@@ -121,7 +121,7 @@ class LiftedFunctionals(Bridge):
     def parameters(self, guess: Path, phase: Any) -> dict[str, Array]:
         if not self.extremes:
             return {}
-        # Rows may have any sign: controls that say nothing count with both.
+        # Rows may have any sign, so controls close to zero are tried with both signs.
         rows = [phase.shown_along(path) for path in (guess, guess.sized(), guess.sized(-1.0))]
         return self.extremes_of(np.concatenate(rows), phase.path.shown, guess.params)
 
@@ -132,7 +132,9 @@ class LiftedFunctionals(Bridge):
         return {s.name: xs[s.name] for s in self.states}, {n: a for n, a in us.items() if n not in self.bounds}
 
     def extremes_of(self, rows: Array, names: Sequence[str], params: Mapping[str, Array]) -> dict[str, Array]:
-        """Name of the parameter of an extreme -> its value along rows (points, rows) with these names."""
+        """Name of the parameter of an extreme -> the value of the extreme, from path rows (points, rows) with these
+        names.
+        """
         extremes = {}
         for row, (leaf, name) in self.extremes.items():
             entries = [k for k, shown in enumerate(names) if shown == row or shown.startswith(f"{row}[")]
@@ -142,7 +144,7 @@ class LiftedFunctionals(Bridge):
     # ---- what becomes of a functional ---------------------------------------------------------------------------
 
     def _add(self, dynamics: Dynamics, leaf: Functional) -> None:
-        """Replace a functional by a state or a parameter, once."""
+        """Replace a functional by a state or a parameter, unless that is done already."""
         if leaf.key() in self._exchange:
             return
         for part in _functionals([leaf.operand]):
@@ -176,7 +178,9 @@ class LiftedFunctionals(Bridge):
             self.starts[name], self._exchange[leaf.key()] = leaf.operand, state
 
     def _bounded(self, leaf: Functional) -> Expr:
-        """The integrand with a bound in place of each norm of controls that are all held, or all continuous."""
+        """The integrand with a bound in place of each norm whose controls are all piecewise constant, or all
+        continuous.
+        """
         terms: list[Term] = []
         for factor, part in linear_terms(leaf.operand.canonicalize()):
             if is_size(part) and factor > 0.0 and not is_mixed(part, self._smooth):
@@ -193,7 +197,7 @@ class LiftedFunctionals(Bridge):
 
 
 def _check_places(statement: Statement) -> None:
-    """Raise ModelError for a functional where it has no meaning, or where its bound would be unbounded."""
+    """Raise ModelError for a functional where it is not defined, or whose bound would be unbounded."""
     objective = statement.objective
     for node, rows in statement.rows.items():
         for name, constraint in rows.items():
@@ -222,7 +226,7 @@ def _check_places(statement: Statement) -> None:
 
 
 def functionals_of(*exprs: Expr) -> list[Functional]:
-    """The functionals in expressions, each once, with those nested in others."""
+    """All functionals in expressions without repetition, nested ones included."""
     functionals: dict[str, Functional] = {}
     for leaf in _functionals(exprs):
         functionals.setdefault(leaf.key(), leaf)
@@ -236,9 +240,9 @@ def _functionals(exprs: Iterable[Expr]) -> list[Functional]:
 
 
 def _check_pushed(place: str, expr: Expr, sign: float) -> None:
-    """Raise ModelError unless less of sign * expr pushes every maximum in it down, and every minimum up.
+    """Raise ModelError unless decreasing sign * expr decreases every maximum in it and increases every minimum.
 
-    Where it does not, the bound that stands for an extreme would be free.
+    Otherwise the variable that bounds the extreme would be unbounded.
     """
     for factor, part in linear_terms(expr):
         for leaf in _functionals([part]):
@@ -247,13 +251,14 @@ def _check_pushed(place: str, expr: Expr, sign: float) -> None:
                 down = leaf.sign > 0.0
                 pushed = ("small", "<=", "down") if down else ("large", ">=", "up")
                 raise ModelError(
-                    f"{place} must push {leaf!r} {pushed[2]}, in a sum with a number in front, got {expr!r}.\n"
-                    f"  fix: make it as {pushed[0]} as possible, or ask {leaf!r} {pushed[1]} something"
+                    f"{place} must push {leaf!r} {pushed[2]}, as a term with a constant coefficient, got {expr!r}.\n"
+                    f"  fix: make it as {pushed[0]} as possible, or bound it by a constraint {leaf!r} "
+                    f"{pushed[1]} a limit"
                 )
 
 
 def _pushed_down(objective: Objective, constraints: Iterable[Constraint]) -> set[str]:
-    """The keys of integrals that only inequalities limit from above."""
+    """The keys of the integrals that only inequalities limit from above."""
     seen = {leaf.key() for leaf in _functionals(e for e in (objective.final, objective.running) if e is not None)}
     low, other = set[str](), seen
     for constraint in constraints:
@@ -264,7 +269,7 @@ def _pushed_down(objective: Objective, constraints: Iterable[Constraint]) -> set
 
 
 def _with_running(objective: Objective) -> Objective:
-    """The objective with integrals in its sum as running cost: they need no state."""
+    """The objective with the integrals among its terms as running cost, for which no states are needed."""
     if objective.final is None or not any(isinstance(leaf, Integral) for leaf in _functionals([objective.final])):
         return objective
     terms = linear_terms(objective.final.canonicalize())

@@ -1,9 +1,9 @@
-"""Soft constraints as hard ones with slacks, and bounds of norms in the running cost.
+"""The bridge for soft constraints and for norms in the running cost: slacks and bounds as additional variables.
 
-Along the path the slack of a constraint is a held control: over an interval it is the largest violation there. At a
-node it is a free parameter. An inequality r <= 0 becomes r <= s, an equality -s <= r <= s, with s >= 0 where `l1` makes
-a kink at zero; with `l2` alone the price is smooth without that limit, and an equality along the path has its price
-without a slack.
+Along the path, the slack of a constraint is a piecewise constant control: the largest violation in an interval. At a
+node, it is a free parameter. An inequality r <= 0 becomes r <= s, an equality becomes -s <= r <= s. With an `l1`
+weight, s >= 0. With an `l2` weight alone the penalty is smooth without that limit, and an equality along the path is
+penalised without a slack.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from ..statement import check_leaves
 from ..terms import above, bound_rows, sizes_in, values_of
 from .bridge import Bridge, Path, Statement, place_of
 
-#: A slack starts above the violation of the guess by this share of what the residual is along it.
+#: The initial slack exceeds the violation of the guess by this fraction of the residual along the guess.
 _ABOVE = 0.1
 
 
@@ -36,8 +36,8 @@ class NodeSlack:
 
     Attributes:
         soft: the constraint.
-        rows: names of the entries of its residual less the slack, among those of the node.
-        parameter: the slack.
+        rows: names of the entries of its residual minus the slack, among the rows of the node.
+        parameter: the free parameter that represents the slack.
     """
 
     soft: Soft
@@ -46,11 +46,11 @@ class NodeSlack:
 
 
 class NodeSlacks(Bridge):
-    """A statement whose soft conditions at nodes are hard ones with slacks, for which the objective pays.
+    """A problem whose soft conditions at nodes have become hard conditions with penalised slacks.
 
     Args:
-        statement: with soft conditions.
-        front: what names of slacks begin with.
+        statement: the problem with soft conditions.
+        front: the prefix of the names of slacks.
 
     Attributes:
         slacks: by name.
@@ -75,7 +75,7 @@ class NodeSlacks(Bridge):
         self.free = {name: (None if is_free(slack.soft) else 0.0, None) for name, slack in self.slacks.items()}
 
     def _soften(self, place: str, name: str, soft: Soft, front: str, rows: dict[str, Constraint]) -> Expr:
-        """Add the hard constraint with a slack to the rows, and return the price of the slack."""
+        """Add the hard constraint with a slack to the rows, and return the penalty on the slack."""
         residual = residual_of(soft.constraint)
         slack = Parameter(free_name(f"{front}slack of {place}: {name}", self.slacks), residual.check_shape())
         if is_free(soft) and isinstance(soft.constraint, Equality):
@@ -89,12 +89,12 @@ class NodeSlacks(Bridge):
 
     @property
     def without(self) -> dict[str, Array]:
-        """Zero for every slack: with these, residuals are those of the soft constraints."""
+        """Zero for every slack, with which residuals are those of the soft constraints."""
         return {name: np.zeros(slack.parameter.shape) for name, slack in self.slacks.items()}
 
     @property
     def rows(self) -> set[str]:
-        """Names of the entries of soft conditions."""
+        """Names of the entries of the soft conditions."""
         return {row for slack in self.slacks.values() for row in slack.rows}
 
     def values(
@@ -131,22 +131,24 @@ class NodeSlacks(Bridge):
 
 
 def is_free(soft: Soft) -> bool:
-    """Whether a slack of the constraint may be negative: without `l1` its price is smooth."""
+    """Whether a slack of the constraint may be negative, which holds without an `l1` weight: the penalty is then
+    smooth.
+    """
     return soft.l1 is None
 
 
 class PathBounds(Bridge):
-    """Additional controls: bounds of norms in the running cost, and slacks of soft constraints.
+    """Additional controls: bounds of norms in the running cost, and slacks of soft constraints along the path.
 
     Args:
-        statement: after all other bridges.
-        soft: the soft constraints along the path by name.
-        put: gives expressions of these as they are after all other bridges.
+        statement: the problem after all other bridges.
+        soft: the soft constraints along the path, by name.
+        put: returns the expression that replaces an expression of these constraints, as all other bridges do.
 
     Attributes:
-        running: the running cost, with bounds in place of norms, and with the price of slacks.
-        controls: what is added; the first ones bound `sizes`.
-        rows: a name and a residual, <= 0, for each row that says so.
+        running: the running cost with bounds in place of norms and with penalties on slacks.
+        controls: the additional controls; the first ones bound `sizes`.
+        rows: for each additional row its name and its residual, <= 0.
         slacks: name of a soft constraint -> its slack.
     """
 
@@ -172,7 +174,7 @@ class PathBounds(Bridge):
         self.controls = (*bounds, *self.slacks.values())
 
     def asked(self, name: str, residual: Expr, is_equality: bool) -> list[tuple[Expr, bool]]:
-        """The residuals that replace that of a constraint along the path, each with whether it is an equality."""
+        """The residuals that replace the residual of a path constraint, and whether each is an equality."""
         if name not in self.soft:
             return [(residual, is_equality)]
         if name not in self.slacks:
@@ -183,8 +185,8 @@ class PathBounds(Bridge):
     def columns(self, guess: Path, phase: Any) -> list[Array]:
         """Values of the additional controls, (intervals, entries) each.
 
-        Bounds are a little above what they bound. A slack is the same all along, for the guess is none of the
-        violations of an optimum.
+        Bounds are slightly above the values that they bound. A slack has one value along the whole path, because
+        violations of the guess say nothing about violations at the optimum.
         """
         intervals, columns = len(guess.ts) - 1, []
         if self._sizes:
@@ -206,11 +208,11 @@ class PathBounds(Bridge):
 
 
 def check_weights(soft: Mapping[str, Soft], params: Mapping[str, Array]) -> None:
-    """Raise InputError where the value of a parameter makes a weight negative: more violation would cost less.
+    """Raise InputError if parameter values make a weight negative: a larger violation would then cost less.
 
     Args:
         soft: constraints by name.
-        params: values; those of a parameter with a value for each node have one more axis.
+        params: parameter values; a parameter with a value for each node has a leading axis of nodes.
     """
     for name, constraint in soft.items():
         weights = {"l1": constraint.l1, "l2": constraint.l2}
@@ -235,7 +237,7 @@ def _size(values: Array, is_equality: bool) -> Array:
 
 
 def _start(values: Array, is_equality: bool) -> Array:
-    """Slacks slightly above the violations that these residuals mean."""
+    """Initial slacks, slightly above the violations of these residuals."""
     values = np.where(np.isfinite(values), values, 0.0)
     most = np.abs(values).max(initial=0.0) or 1.0
     return np.maximum(_size(values, is_equality), 0.0) + _ABOVE * most

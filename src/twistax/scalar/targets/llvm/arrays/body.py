@@ -1,4 +1,4 @@
-"""A function of matrices as a kernel: large arrays in loops, what is small as scalars."""
+"""A function of matrices as a kernel: loops for large arrays, scalars for small ones."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def array_form(program: ClosedJaxpr, checked: bool, terminates: bool = False) ->
     ends = [v.aval for v in (*program.jaxpr.invars, *program.jaxpr.outvars)]
     avals = [v.aval for eqn in every for v in (*eqn.invars, *eqn.outvars) if eqn.primitive.name not in _WITH_FUNCTIONS]
     if _OF_MATRICES.isdisjoint(eqn.primitive.name for eqn in every):
-        raise NotNative("it has no products or factors of matrices")
+        raise NotNative("it has no products or factorisations of matrices")
     if not terminates and any(eqn.primitive.name == "while" for eqn in every):
         raise NotNative("it has a loop of unknown length")
     largest = max((aval.size for aval in avals), default=0)
@@ -88,7 +88,7 @@ def array_form(program: ClosedJaxpr, checked: bool, terminates: bool = False) ->
     kinds = {np.dtype(aval.dtype) for aval in (*ends, *avals)}
     real = [kind for kind in kinds if kind.kind not in "iub"]
     if len(real) != 1 or not kinds <= NAMES.keys() or program.effects:
-        raise NotNative("it has numbers that no kernel has, or two precisions")
+        raise NotNative("it has numbers of a type that kernels do not support, or two precisions")
     form = ArrayForm(program, real[0], checked)
     writer = _Writer(Code(Module(Processor.host()), 1), form)
     writer.run(

@@ -1,4 +1,4 @@
-"""What is computed entry by entry, or added up, in the memory of a kernel."""
+"""Entrywise operations and reductions in the memory of a kernel."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _LONGEST = 60
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Lazy:
-    """An array that is computed entry by entry where it is read.
+    """An array whose entries are computed where they are read.
 
     Attributes:
         make: from a reader and the nodes of one entry of the operands to that of the result.
@@ -52,14 +52,14 @@ def number(value: Any, dtype: np.dtype[Any], shape: tuple[int, ...] = ()) -> Laz
 
 
 def viewed(value: Value, view: Callable[[View], View], shape: tuple[int, ...]) -> Value:
-    """A view of an array, or of all that an expression reads."""
+    """A view of an array, or of all arrays that an expression reads."""
     if isinstance(value, View):
         return view(value)
     return dataclasses.replace(value, operands=tuple(viewed(o, view, shape) for o in value.operands), shape=shape)
 
 
 def broadcast(value: Value, shape: tuple[int, ...], axes: Sequence[int]) -> Value:
-    """An array along new axes; `axes` are those that it has."""
+    """An array broadcast along new axes; `axes` are the positions of its axes."""
 
     def view(old: View) -> View:
         strides = [0] * len(shape)
@@ -71,7 +71,7 @@ def broadcast(value: Value, shape: tuple[int, ...], axes: Sequence[int]) -> Valu
 
 
 class EntryWriter(Loops):
-    """Loops over what is computed entry by entry."""
+    """Loops over the entries of entrywise expressions."""
 
     checked, precision = False, np.dtype(float)
 

@@ -1,4 +1,4 @@
-"""How equations on large arrays are written, one function for each primitive."""
+"""Code for equations on large arrays, one function for each primitive."""
 
 from __future__ import annotations
 
@@ -282,7 +282,7 @@ def _while(writer: Any, eqn: Any, *values: Value) -> list[Value]:
     """Iterations of one member, until its condition ends them."""
     p, code = eqn.params, writer.code
     if code.lanes > 1:
-        raise NotNative("loops of unknown lengths have no native form for members side by side")
+        raise NotNative("loops of unknown lengths have no native form for several batch members in one vector")
     asking, fixed = p["cond_nconsts"], p["cond_nconsts"] + p["body_nconsts"]
     condition, body = (inlined(closed(p[name])) for name in ("cond_jaxpr", "body_jaxpr"))
     constants, state = [writer.stored(v) for v in values[:fixed]], [_copied(writer, v) for v in values[fixed:]]

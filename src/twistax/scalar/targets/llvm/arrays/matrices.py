@@ -1,4 +1,4 @@
-"""Products, factors and solutions of matrices as loops."""
+"""Products, factorisations and solutions with matrices, as loops."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from ..code import NAMES, Code
 
 @dataclasses.dataclass(frozen=True)
 class View:
-    """An array in memory; each entry is as many numbers as the kernel computes members side by side.
+    """An array in memory; each entry consists of as many numbers as the kernel computes members at once.
 
     Attributes:
         pointer: to its first entry.
@@ -52,8 +52,8 @@ def steps(shape: Sequence[int]) -> tuple[int, ...]:
 
 
 def collapsed(shape: Sequence[int], strides: Sequence[Sequence[int]]) -> tuple[tuple[int, ...], list[tuple[int, ...]]]:
-    """Axes of several arrays of one shape joined where they follow one another in all of them; those of one place are
-    left out.
+    """Axes of several arrays of one shape, merged where they are contiguous in all of them; axes of length one are
+    omitted.
     """
     axes: list[tuple[int, list[int]]] = []
     for axis, length in enumerate(shape):
