@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import enum
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from fractions import Fraction
 from typing import Any, ClassVar, TypeAlias
 
@@ -65,8 +65,15 @@ class Rule:
     #: Whether it maps a body over batches: elements and results are as the values of the body.
     maps: ClassVar[bool] = False
 
+    def variant(self, node: Any) -> Hashable:
+        """What `links`, `spaces` and `unframed` depend on besides the class of the node and the shapes of its operands.
+
+        None: they are read anew for each node.
+        """
+        return None
+
     def links(self, node: Any) -> Iterable[Link]:
-        """The pairs of axes that correspond."""
+        """The pairs of axes of the operands and the node that correspond."""
         return ()
 
     def spaces(self, node: Any) -> Iterable[tuple[Any, int, Space]]:
@@ -183,8 +190,15 @@ def _product(values: Sequence[Any], units: Units) -> Unit | None:
     return total
 
 
+class ByShapes(Rule):
+    """Base of rules whose pairs of axes depend on the class of a node and the shapes of its operands alone."""
+
+    def variant(self, node: Any) -> Hashable:
+        return True
+
+
 @dataclasses.dataclass(frozen=True)
-class Terms(Rule):
+class Terms(ByShapes):
     """Operands and result agree in everything; the first `conditions` operands are apart from that.
 
     What adds a scalar to each entry of a vector has no meaning in other axes.
@@ -221,7 +235,7 @@ class Terms(Rule):
 
 
 @dataclasses.dataclass(frozen=True)
-class UnitPower(Rule):
+class UnitPower(ByShapes):
     """Entry by entry, the unit to a power; None reads the power from a constant exponent."""
 
     power: Fraction | None = None
@@ -245,7 +259,7 @@ class UnitPower(Rule):
 
 
 @dataclasses.dataclass(frozen=True)
-class NumberRule(Rule):
+class NumberRule(ByShapes):
     """Takes angles in rad and numbers without unit, and gives one; `of_one_unit`: takes operands of one unit."""
 
     of_one_unit: bool = False
@@ -260,7 +274,7 @@ class NumberRule(Rule):
         return self.gives
 
 
-class _Product(Rule):
+class _Product(ByShapes):
     """Entry by entry: one frame; the units multiply."""
 
     by_operands = entrywise = True
@@ -292,7 +306,7 @@ class _Quotient(_Product):
 
 
 @dataclasses.dataclass(frozen=True)
-class MatrixRule(Rule):
+class MatrixRule(ByShapes):
     """Products, inverses and the like: the axes of `shared_orders`, of which some groups are dual; powers of units."""
 
     how: tuple[Common, ...] = ()
@@ -314,15 +328,16 @@ class MatrixRule(Rule):
 class _Pairing(MatrixRule):
     """A product of matrices and vectors. A vector with itself is the square of its length, and no power."""
 
-    def links(self, node: Any) -> Iterable[Link]:
+    def variant(self, node: Any) -> Hashable:
+        """Whether it is the square of a vector's length."""
         left, right = node.children()
-        if left.ndim == right.ndim == 1 and left.key() == right.key():
-            return ()
-        return super().links(node)
+        return len(left.shape) == len(right.shape) == 1 and (left is right or left.key() == right.key())
+
+    def links(self, node: Any) -> Iterable[Link]:
+        return () if self.variant(node) else super().links(node)
 
     def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
-        left, right = node.children()
-        if left.ndim == 1 and left.key() == right.key() and six(left, space):
+        if self.variant(node) and six(node.children()[0], space):
             return None
         return super().unit(node, units, space)
 
@@ -354,7 +369,7 @@ DIAGONAL = MatrixRule((Common.FRAME,), (1,))
 
 
 @dataclasses.dataclass(frozen=True)
-class OneFrame(Rule):
+class OneFrame(ByShapes):
     """All these axes have one frame; the units multiply. `axes`: of each operand, then of the result."""
 
     axes: tuple[tuple[int, ...], ...]
@@ -370,18 +385,13 @@ class OneFrame(Rule):
         return _product(node.children(), units)
 
 
-class _Cross(Rule):
+class _Cross(OneFrame):
     """A vector product: one frame, units multiply."""
-
-    by_operands = True
 
     def links(self, node: Any) -> Iterable[Link]:
         left, right = node.children()
         for value in (right, node):
             yield left, -1, value, -value.ndim, Common.FRAME
 
-    def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
-        return _product(node.children(), units)
 
-
-CROSS = _Cross()
+CROSS = _Cross(())
