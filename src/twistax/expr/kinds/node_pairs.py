@@ -58,7 +58,7 @@ class NodePairs(NamedTuple):
                 free = all(frees[k] for k in sources) and all(k != last for k, _, _ in spaces)
                 places = [k for k in range(last) if frees[k]]
         if free:  # its operands are other values at other places
-            return NodePairs((), (), unframed, places, True)
+            return NodePairs((), (), unframed, (), True)
         spaces = [(k, axis, space) for k, axis, space in spaces if values[k].shape[axis] == _SIX]
         return NodePairs(links, spaces, unframed, places, False)
 

@@ -337,7 +337,7 @@ class _Pairing(MatrixRule):
         return () if self.variant(node) else super().links(node)
 
     def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
-        if self.variant(node) and six(node.children()[0], space):
+        if None in units or (self.variant(node) and six(node.children()[0], space)):
             return None
         return super().unit(node, units, space)
 
