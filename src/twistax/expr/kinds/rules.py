@@ -184,7 +184,7 @@ def _product(values: Sequence[Any], units: Units) -> Unit | None:
     """The product of units; a whole number counts, and has none."""
     total = ONE
     for value, unit in zip(values, units, strict=True):
-        if unit is None and not getattr(value, "whole", False):
+        if unit is None and not (hasattr(type(value), "whole") and value.whole):
             return None
         total *= unit or ONE
     return total
