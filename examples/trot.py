@@ -57,7 +57,7 @@ for k, pair in enumerate(pairs):
     mesh = {"nodes": NODES, "final_time": PERIOD, "substeps": 1, "controls": tx.trajectory.Linear()}
     clear = {NODES // 2: [z >= 0.04 for z in swing]}  # halfway feet are 4 cm high
     steps.append(tx.trajectory.Phase(**stances[pair], **mesh, **ends, at=clear, name=f"step {k + 1}"))
-result = tx.trajectory.Problem(steps).solve(mesh_tolerance=0.1)
+result = tx.trajectory.Problem(steps).solve()
 print(f"{result.status.name}, {result.iterations} iterations")
 distance = result.phases[-1].xs["trunk_position"][-1][0, 3]
 print(f"the trunk moves by {distance:.2f} m in {3 * PERIOD:.1f} s")

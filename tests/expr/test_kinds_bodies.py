@@ -86,3 +86,48 @@ def test_what_names_no_bodies_is_not_checked() -> None:
     plain, partly = twist("plain", "b"), twist("partly", "b", of="b")
     tx.System(rates={T: rel + plain, plain: -1.0 * plain, rel: -1.0 * rel})
     tx.System(rates={T: rel + partly - Vb, partly: -1.0 * partly, rel: -1.0 * rel, Vb: -1.0 * Vb})
+
+
+def _copies(**options: Any) -> tuple[tx.System, tx.System]:
+    """Two of one craft, whose output is declared in its frame."""
+    g, V, F = pose("g", "world", "body"), twist("V", "body", "craft", "world"), wrench("F", "body", "craft")
+    M = tx.Parameter("M", value=np.diag([2.0] * 3 + [0.3] * 3), kind=K.Inertia("body"))
+    outputs = {
+        "p": K.declare(g[:3, 3], tx.Point("world")),
+        "nose": K.declare(np.array([0.2, 0.0, 0.0]), tx.Point("body")),
+        "speed": K.declare(lie.linear(V) * 1.0, tx.FreeVector("body"), "m/s"),
+    }
+    craft = tx.System(rates={g: V, V: solve(M, F - lie.AdjointDual(V, M @ V))}, outputs=outputs)
+    return craft.renamed("left_", **options), craft.renamed("right_", **options)
+
+
+def test_copies_under_other_names_are_other_bodies() -> None:
+    left, right = _copies()
+    between = lie.Compose(lie.Inverse(left.left_g), right.right_g)
+    carried = lie.SE3Adjoint(lie.Inverse(between)) @ left.left_V
+    tip = lie.Act(left.left_g, left.output("left_nose"))
+    rightly = {
+        "gap": right.output("right_p") - tip,
+        "closing": right.right_V - carried,
+        "reaction": left.left_F - lie.SE3AdjointDual(between) @ right.right_F,
+    }
+    tx.join(left, right, outputs=rightly)
+    wrong = {
+        "frames are combined: 'left_body' and 'right_body'": right.right_V - left.left_V,
+        "two frames are combined": right.output("right_speed") - left.output("left_speed"),
+        "frames are combined": lie.Act(right.right_g, left.output("left_nose")),
+        "twists do not add up": right.right_V + carried,
+        "wrenches on two bodies": left.left_F + lie.SE3AdjointDual(between) @ right.right_F,
+    }
+    for message, expression in wrong.items():
+        with pytest.raises(tx.KindError, match=message):
+            tx.join(left, right, outputs={"wrong": expression})
+
+
+def test_copies_keep_names_that_they_share() -> None:
+    left, right = _copies(keep=["body", "craft"])
+    tx.join(left, right, outputs={"closing": right.right_V - left.left_V})
+    left, right = _copies(keep="M")  # its frame is that of both
+    tx.join(left, right, outputs={"momentum": right.M @ (left.left_V - left.left_V)})
+    with pytest.raises(tx.ModelError, match="keep names 'bodies'"):
+        _copies(keep="bodies")

@@ -69,22 +69,25 @@ def other_leaves(root: Node, placeholders: Sequence[Node]) -> list[Any]:
     return [leaf for key, leaf in {leaf.key(): leaf for leaf in leaves_of(root)}.items() if key not in keys]
 
 
-def substitute(root: N, exchange: Mapping[str, N]) -> N:
+def substitute(root: N, exchange: Mapping[str, N], relabel: Callable[[N], N] | None = None) -> N:
     """The tree with every leaf whose key is in `exchange` replaced; parts without such a leaf remain the same
     objects.
+
+    `relabel` returns the replacement of any other node: the same node with other declarations.
     """
     done: dict[int, N] = {}
     for node in postorder(root):
         children = node.children()
-        if children:
-            new = node.with_children([done[id(child)] for child in children])
-            done[id(node)] = new if new is node else _with_facts(new, node)
-        else:
-            done[id(node)] = exchange.get(node.key(), node)
+        if not children and node.key() in exchange:
+            done[id(node)] = exchange[node.key()]
+            continue
+        new = node.with_children([done[id(child)] for child in children]) if children else node
+        new = new if new is node else with_facts(new, node)
+        done[id(node)] = new if relabel is None else relabel(new)
     return done[id(root)]
 
 
-def _with_facts(new: N, old: Node) -> N:
+def with_facts(new: N, old: Node) -> N:
     """A node that says of itself what another one says besides its fields."""
     facts = {name: old.__dict__[name] for name in FACTS if name in old.__dict__}
     if not facts:

@@ -26,12 +26,11 @@ DROPPED = -1
 
 @dataclasses.dataclass(frozen=True)
 class Scheme:
-    """A Runge-Kutta method of intervals, with weights of the running cost.
+    """A Runge-Kutta method of intervals.
 
     Attributes:
         a, b, c: its coefficients.
         implicit: whether its stages are solved for.
-        weights: of the ends of substeps, then of all stages, for a unit interval.
     """
 
     a: Array
@@ -39,7 +38,17 @@ class Scheme:
     c: Array
     substeps: int
     implicit: bool
-    weights: Array
+
+    @property
+    def weights(self) -> Array:
+        """The weights b of the running cost: of the ends of substeps, then of all stages, for a unit interval.
+
+        The first stage of an explicit method is the start of its substep, where path rows are evaluated with the cost.
+        """
+        ends, stages = np.zeros(self.substeps + 1), np.tile(self.b / self.substeps, (self.substeps, 1))
+        if not self.implicit:
+            ends[:-1], stages[:, 0] = stages[:, 0], 0.0
+        return np.concatenate([ends, stages.ravel()])
 
 
 @dataclasses.dataclass(frozen=True)

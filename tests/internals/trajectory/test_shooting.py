@@ -1,6 +1,7 @@
 """What the core is given of a problem that has every kind of row: rows, values and derivatives."""
 
 import functools
+from typing import Any
 
 import jax
 import numpy as np
@@ -14,6 +15,7 @@ from core_functions import (
 )
 
 import twistax as tx
+from twistax.tableaus import ButcherTableau
 from twistax.trajectory import Problem
 from twistax.trajectory.transcription.iterate import Instance, Iterate
 
@@ -128,17 +130,28 @@ def test_intervals_end_where_an_integration_does(first: int) -> None:
     assert 12.0 < coarse / fine < 22.0
 
 
-@pytest.mark.parametrize(("substeps", "power"), [(1, 1), (3, 1), (2, 3), (4, 3)])
-def test_the_running_cost_is_exact_for_polynomials(substeps: int, power: int) -> None:
-    """Cubic ones by Simpson's rule, linear ones where the number of substeps is odd."""
+def _running_cost(tableau: ButcherTableau, substeps: int, density: tx.Expr, rate: Any, start: float) -> float:
+    """Of one interval of 1.3 s from a start, by both forms of the functions."""
     x, u = tx.State("x"), tx.Control("u")
-    objective = tx.Minimize(running=tx.Time() ** power)
-    problem = Problem(
-        tx.compile(tx.System(rates={x: u})), objective, nodes=3, substeps=substeps, final_time=1.3, initial={"x": 0.0}
-    )
-    point, given = (
-        Iterate({"x": np.zeros(3)}, np.zeros((2, 1)), np.array([1.3])),
-        Instance({}, {"x": np.zeros(())}, np.full((1, 2), 1.3)),
-    )
-    cost = core_values(staged_of(problem, given), point, given).cost
+    dynamics, objective = tx.compile(tx.System(rates={x: u + rate})), tx.Minimize(running=density)
+    mesh = {"nodes": 2, "method": tx.RKMK(tableau), "substeps": substeps, "final_time": 1.3}
+    problem = Problem(dynamics, objective, initial={"x": start}, **mesh)
+    point = Iterate({"x": np.array([start, start])}, np.zeros((1, 1)), np.array([1.3]))
+    instance = Instance({}, {"x": np.zeros(())}, np.full((1, 2), 1.3))
+    assert_values(problem, point, instance)
+    return float(core_values(staged_of(problem, instance), point, instance).cost)
+
+
+@pytest.mark.parametrize(("tableau", "substeps", "power"), [("EULER", 1, 0), ("HEUN", 3, 1), ("RK4", 1, 3)])
+def test_the_running_cost_is_exact_for_polynomials(tableau: str, substeps: int, power: int) -> None:
+    cost = _running_cost(getattr(tx.tableaus, tableau), substeps, tx.Time() ** power, 0.0, 0.0)
     np.testing.assert_allclose(cost, 1.3 ** (power + 1) / (power + 1), rtol=1e-14)
+
+
+@pytest.mark.parametrize(("tableau", "order"), [("EULER", 1), ("HEUN", 2), ("RK4", 4), ("DOP853", 8)])
+def test_the_running_cost_has_the_order_of_the_tableau(tableau: str, order: int) -> None:
+    """Of x' = -x^2, whose integral of x is log(1 + t x0)."""
+    x, method = tx.State("x"), getattr(tx.tableaus, tableau)
+    exact, counts = np.log(1.0 + 1.3 * 0.8), (4, 8) if order > 4 else (8, 16)
+    coarse, fine = (abs(_running_cost(method, n, x, -x * x, 0.8) - exact) for n in counts)
+    assert order - 0.4 < np.log2(coarse / fine) < order + 0.8

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Hashable, Iterable
 from typing import Any
 
-from .rules import Common, Link, Rule, SpaceOf, Units, common_unit, six
+from .rules import ByShapes, Common, Link, Rule, SpaceOf, Units, common_unit, six
 from .unit import METRE, ONE, Unit
 
 
 @dataclasses.dataclass(frozen=True)
-class Reduced(Rule):
+class Reduced(ByShapes):
     """A sum or a norm of all entries has their unit."""
 
     by_operands = True
@@ -21,7 +21,7 @@ class Reduced(Rule):
 
 
 @dataclasses.dataclass(frozen=True)
-class JoinedPieces(Rule):
+class JoinedPieces(ByShapes):
     """Joined pieces: one unit if all have it. Vectors (3,) that are joined to (6,), or to rows of such, have one
     frame.
     """
@@ -44,6 +44,11 @@ class JoinedPieces(Rule):
 
 class _PartOfArray(Rule):
     """A part of an array: whole axes keep their frame; the rotation and the position of a pose have its frames."""
+
+    def variant(self, node: Any) -> Hashable:
+        """The index, where it is made of numbers and slices."""
+        parts = node.index if isinstance(node.index, tuple) else (node.index,)
+        return repr(node.index) if all(isinstance(part, (int, slice)) for part in parts) else None
 
     def links(self, node: Any) -> Iterable[Link]:
         base, index = node.base, node.index
@@ -71,7 +76,7 @@ class _PartOfArray(Rule):
         return None if six(base, space) or (base.shape == (6,) and not base.is_leaf) else units[0]
 
 
-class _Table(Rule):
+class _Table(ByShapes):
     """Coordinates, the points of their axes, and values: the unit of each axis, and that of the result."""
 
     def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:

@@ -77,7 +77,9 @@ class AxisClasses:
 
     def link(self, one: int, other: int, dual: bool) -> tuple[AxisFact, AxisFact] | None:
         """Join two classes; returns both facts if they contradict each other, each with its origin."""
-        (kept, a), (gone, b) = self._find(one), self._find(other)
+        parents = self._parents
+        kept, a = self._find(one) if one in parents else (one, False)
+        gone, b = self._find(other) if other in parents else (other, False)
         if kept == gone:
             return None
         flip = a ^ b ^ dual
@@ -88,5 +90,5 @@ class AxisClasses:
                 self._facts[kept] = as_here
             elif mine.fact != as_here.fact:
                 return (mine.dual if a else mine), (theirs.dual if b else theirs)
-        self._parents[gone] = kept, flip
+        parents[gone] = kept, flip
         return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, TypeVar
 
 from ...errors import ModelError
@@ -56,6 +57,20 @@ def known_as(expr: Node, kind: Kind | None = None, unit: Any = None) -> Node:
     same: Node = object.__new__(type(expr))
     same.__dict__.update(expr.__dict__)
     same.__dict__[_KNOWN] = facts["kind"], facts["unit"]
+    return same
+
+
+def renamed_frames(node: Node, names: Mapping[str, str]) -> Node:
+    """The node with other names of frames and bodies in what it declares."""
+    known, changes = known_of(node), dict[str, Any]()
+    if known is not None and known[0] is not None and known[0].names() & names.keys():
+        changes[_KNOWN] = known[0].renamed(names), known[1]
+    if isinstance(node, Leaf) and node.kind is not None and node.kind.names() & names.keys():
+        changes["kind"] = node.kind.renamed(names)
+    if not changes:
+        return node
+    same: Node = object.__new__(type(node))
+    same.__dict__.update(node.__dict__ | changes)
     return same
 
 

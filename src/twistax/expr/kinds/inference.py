@@ -10,25 +10,45 @@ separate value.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import dataclasses
+import weakref
+from collections.abc import Hashable, Mapping, MutableMapping, Sequence
 from typing import Any, NamedTuple
 
 from ...errors import KindError
 from ..graph import find_path, postorder
 from ..leaves import Constant, Leaf, State
-from ..node import Expr
+from ..node import Expr, Shape
 from ..orders import bodies, short
 from .axes import AxisClasses, AxisFact
 from .body_inference import BodyInference, check_bodies
 from .declare import kind_of, known_of
 from .kinds import Kind, Space
+from .node_pairs import NodePairs
 from .remedies import remedy_of_frames, remedy_of_spaces, remedy_of_units
-from .rules import OPEN, Clash, Common, Link, Rule
+from .rules import OPEN, Clash, Rule
 from .unit import ONE, SECOND, Unit
 
 _SIX = 6
-#: The number of all constants that declare nothing.
-_UNKNOWN = 0
+#: What rules say of axes, by the class of a node, then by what else it depends on, shapes, and which are constants; and
+#: for how many of them it is kept.
+_PAIRS: MutableMapping[type[Expr], dict[Hashable, NodePairs]] = weakref.WeakKeyDictionary()
+_MOST_PAIRS = 1000
+
+
+@dataclasses.dataclass(slots=True)
+class _Value:
+    """What is known of a value besides the frames and spaces of its axes.
+
+    Attributes:
+        end: the axes have the numbers before it; 0 for all constants that declare nothing.
+        free: whether it is made of constants alone that declare nothing.
+    """
+
+    shape: Shape
+    end: int
+    free: bool = False
+    unit: Unit | None = None
 
 
 class NodePlace(NamedTuple):
@@ -45,8 +65,7 @@ class NodePlace(NamedTuple):
 class Inference:
     """Traverses all expressions of a system, children first, and applies the rule of each node once.
 
-    The axes of a value have consecutive numbers, starting with the last axis (-1); the next number represents the value
-    itself.
+    The axes of a value have numbers.
     """
 
     def __init__(self, leaves: Sequence[Leaf]) -> None:
@@ -54,20 +73,19 @@ class Inference:
         self._roots: dict[str, Expr] = {}
         self._frames, self._spaces = AxisClasses(), AxisClasses()
         self._count = 0
-        self._ends: dict[int, int] = {}
-        self._of_names: dict[str, int] = {}
-        self._units: dict[int, Unit | None] = {_UNKNOWN: None}
-        self._free: dict[int, bool] = {}
-        #: From elements of batches to the number of the batch with which they were read first.
-        self._batches: dict[int, int] = {}
+        self._values: dict[int, _Value] = {}
+        self._of_names: dict[str, _Value] = {}
+        #: From elements of batches to the batch with which they were read first.
+        self._batches: dict[int, _Value] = {}
         #: Whether a kind says of which body a value is.
         self.has_bodies = False
         #: Nodes, vectors that can be in no frame, and what makes them so.
         self._unframed: list[tuple[Expr, Expr, Expr]] = []
+        self._pairs_of: dict[type[Expr], dict[Hashable, NodePairs]] = {}
         for leaf in leaves:
             self._leaf(leaf)
             if not isinstance(leaf, Constant):
-                self._of_names[leaf.key()] = self._ends[id(leaf)]
+                self._of_names[leaf.key()] = self._values[id(leaf)]
 
     def read(self, roots: Mapping[str, Expr], nodes: Sequence[Expr]) -> None:
         """Apply the rules of all nodes below roots, with the names used in messages, and to bodies of maps and
@@ -78,41 +96,41 @@ class Inference:
 
     def _read(self, nodes: Sequence[Expr]) -> None:
         for node in nodes:
-            if id(node) in self._free:
+            if id(node) in self._values:
+                continue
+            if isinstance(node, Leaf):
+                self._leaf(node)
                 continue
             rule = node.kinds or OPEN
             knows = rule.maps and self._elements(node)
             for body in bodies(node):
                 self._read(postorder(body))
-            if isinstance(node, Leaf):
-                self._leaf(node)
-            elif rule.maps:
+            if rule.maps:
                 self._mapped(node, knows)
-                self._known_as(node)
             else:
                 self._node(node, rule)
-                self._known_as(node)
+            self._known_as(node)
 
-    def _numbered(self, value: Expr) -> int:
+    def _numbered(self, shape: Shape) -> int:
         """The end of the numbers for the axes of another value. A quaternion has two frames."""
-        shape = value.shape
         self._count += 2 if shape == (4,) else len(shape) or 1
         return self._count
 
     def _leaf(self, leaf: Leaf) -> None:
         """Leaves of one name are one value; elements of batches and constants are what they are."""
-        if id(leaf) in self._free:
+        if id(leaf) in self._values:
             return
         is_constant = isinstance(leaf, Constant)
-        self._free[id(leaf)] = is_constant and leaf.kind is None
         if is_constant and not leaf.declares:
-            self._ends[id(leaf)] = _UNKNOWN
+            self._values[id(leaf)] = _Value(leaf.shape, 0, True)
             return
-        end = None if is_constant else self._of_names.get(leaf.key())
-        self._ends[id(leaf)] = end = self._numbered(leaf) if end is None else end
-        self._units[end] = self._units.get(end) if leaf.unit is None else leaf.unit
+        value = None if is_constant else self._of_names.get(leaf.key())
+        if value is None:
+            value = _Value(leaf.shape, self._numbered(leaf.shape), is_constant and leaf.kind is None)
+        self._values[id(leaf)] = value
+        value.unit = value.unit if leaf.unit is None else leaf.unit
         if leaf.kind is not None:
-            self._kind(leaf, end, leaf.kind, f", declared {leaf.kind}")
+            self._kind(leaf, value.end, leaf.kind, f", declared {leaf.kind}")
         self._known_as(leaf)
 
     def _kind(self, value: Expr, end: int, kind: Kind, note: str) -> None:
@@ -129,54 +147,54 @@ class Inference:
         facts = known_of(node)
         if facts is None:
             return
-        (kind, unit), end = facts, self._ends[id(node)]
-        self._free[id(node)] = False
+        (kind, unit), value = facts, self._values[id(node)]
+        value.free = False
         if kind is not None:
-            self._kind(node, end, kind, f", taken as {kind}")
-        known = self._units[end]
-        if unit is not None and known is not None and unit != known:
-            raise self._of_units(node, Clash(f"{short(node)} is declared in {unit}", (node, known)), unit)
-        self._units[end] = known if unit is None else unit
+            self._kind(node, value.end, kind, f", taken as {kind}")
+        if unit is not None and value.unit is not None and unit != value.unit:
+            raise self._of_units(node, Clash(f"{short(node)} is declared in {unit}", (node, value.unit)), unit)
+        value.unit = value.unit if unit is None else unit
 
     def _node(self, node: Expr, rule: Rule) -> None:
-        free, ends, children = self._free, self._ends, node.children()
-        end = ends[id(node)] = self._numbered(node)
-        units, is_free, has_axes, needs_places = [], True, node.shape != (), False
-        for child in children:
-            units.append(self._units[ends[id(child)]])
-            child_is_free = free[id(child)]
-            is_free = is_free and child_is_free
-            if child.shape:
-                has_axes, needs_places = True, needs_places or child_is_free
+        children, shape, known = node.children(), node.shape, self._values
+        operands = [known[id(child)] for child in children]
+        units = [operand.unit for operand in operands]
+        value = known[id(node)] = _Value(shape, self._numbered(shape))
         if rule is OPEN:
-            free[id(node)], self._units[end] = is_free, None
+            value.free = all(operand.free for operand in operands)
             return
-        here = ends
-        if has_axes:
-            links: Iterable[Link] = rule.links(node)
-            if needs_places and rule.entrywise:  # what is made of constants alone says nothing here
-                all_links = list(links)
-                links = [link for link in all_links if not free[id(link[0])]]
-                is_free = not links if all_links else is_free
-            elif needs_places:
-                links = list(links)
-                sources = [v for one, _, other, _, _ in links for v in (one, other) if v is not node] or children
-                is_free = all(free[id(v)] for v in sources) and all(v is not node for v, _, _ in rule.spaces(node))
-                # What is made of constants alone is another value at each place.
-                here = {id(v): self._numbered(v) if free[id(v)] else ends[id(v)] for v in children}
-                here[id(node)] = end
-            self._link(node, rule, links, here)
-        free[id(node)] = is_free
+        pairs, places = self._pairs(node, rule, children, operands), dict[int, int]()
+        value.free, ends = pairs.free, [operand.end for operand in operands]
+        ends.append(value.end)
+        if pairs.places:  # what is made of constants alone is another value at each place
+            places = {id(children[k]): self._numbered(operands[k].shape) for k in pairs.places}
+            for k in pairs.places:
+                ends[k] = places[id(children[k])]
+        if pairs.links or pairs.spaces or pairs.unframed:
+            self._link(node, children, ends, pairs)
         if rule.by_operands and not any(units):
-            self._units[end] = None
             return
         try:
-            self._units[end] = rule.unit(node, units, lambda value, axis: self._space(here[id(value)] + axis))
+            value.unit = rule.unit(node, units, lambda v, axis: self._space(places.get(id(v), known[id(v)].end) + axis))
         except Clash as clash:
             raise self._of_units(node, clash) from None
         made = rule.made(node, units)
         if made is not None:
-            self._fix(self._spaces, end - node.ndim, AxisFact(made, node, -node.ndim, node))
+            self._fix(self._spaces, value.end - node.ndim, AxisFact(made, node, -node.ndim, node))
+
+    def _pairs(self, node: Expr, rule: Rule, children: Sequence[Expr], operands: Sequence[_Value]) -> NodePairs:
+        """What a rule says of the axes of a node, read once for nodes that do not differ in it."""
+        variant, node_class = rule.variant(node), type(node)
+        kind = (variant, node.shape, *[(operand.shape, operand.free) for operand in operands])
+        of_class = self._pairs_of.get(node_class)
+        if of_class is None:
+            of_class = self._pairs_of[node_class] = _PAIRS.setdefault(node_class, {})
+        pairs = None if variant is None else of_class.get(kind)
+        if pairs is None:
+            pairs = NodePairs.of(node, rule, children, [operand.free for operand in operands])
+            if variant is not None and len(of_class) < _MOST_PAIRS and len(set(map(id, children))) == len(children):
+                of_class[kind] = pairs  # one value twice says nothing of two
+        return pairs
 
     def _elements(self, node: Any) -> bool:
         """What batches say of the elements in the body of a map; whether the body says something of these batches.
@@ -185,77 +203,75 @@ class Inference:
         """
         all_alike = True
         for batch, element in zip(node.batches, node.placeholders, strict=True):
-            read, mapped = id(element) in self._free, node.axis - batch.ndim
+            read, mapped = id(element) in self._values, node.axis - batch.ndim
             self._leaf(element)
-            first, end = self._batches.setdefault(id(element), self._ends[id(batch)]), self._ends[id(batch)]
+            of_batch, of_element = self._values[id(batch)], self._values[id(element)]
+            first = self._batches.setdefault(id(element), of_batch)
             axes = [(axis, axis if axis > mapped else axis - 1) for axis in range(-element.ndim, 0)]
             if read:
-                all_alike = all_alike and (first == end or self._alike(element, batch, axes))
-            elif not self._free[id(batch)]:
-                self._units[self._ends[id(element)]] = self._units[end]
+                all_alike = all_alike and (first.end == of_batch.end or self._alike(of_element, of_batch, axes))
+            elif not of_batch.free:
+                of_element.unit = of_batch.unit
                 for axis, its_axis in axes:
-                    self._same(node, (element, axis), (batch, its_axis))
+                    self._same(node, of_element.end + axis, of_batch.end + its_axis)
         return all_alike
 
-    def _alike(self, element: Expr, batch: Expr, axes: Sequence[tuple[int, int]]) -> bool:
+    def _alike(self, element: _Value, batch: _Value, axes: Sequence[tuple[int, int]]) -> bool:
         """Whether an element has the unit, the spaces and the frames, some of them known, of another batch."""
-        one, other = self._ends[id(element)], self._ends[id(batch)]
-        if self._units[one] != self._units[other]:
+        if element.unit != batch.unit:
             return False
         frames, spaces = (
-            [[known and known.fact for known in (c.known(one + a), c.known(other + b))] for a, b in axes]
+            [[known and known.fact for known in (c.known(element.end + a), c.known(batch.end + b))] for a, b in axes]
             for c in (self._frames, self._spaces)
         )
         return all(a == b for a, b in [*frames, *spaces]) and (not axes or any(a for a, _ in frames))
 
     def _mapped(self, node: Any, knows: bool) -> None:
         """The value of a map, from that of its body if that says something of these batches."""
-        end, body = self._numbered(node), node.body
-        self._ends[id(node)] = end
-        self._free[id(node)] = self._free[id(body)] and all(self._free[id(batch)] for batch in node.batches)
-        self._units[end] = self._units[self._ends[id(body)]] if knows else None
-        if knows and not self._free[id(body)]:
-            for axis in range(-body.ndim, 0):
-                self._same(node, (node, axis), (body, axis))
+        body = self._values[id(node.body)]
+        free = body.free and all(self._values[id(batch)].free for batch in node.batches)
+        value = _Value(node.shape, self._numbered(node.shape), free, body.unit if knows else None)
+        self._values[id(node)] = value
+        if knows and not body.free:
+            for axis in range(-len(body.shape), 0):
+                self._same(node, value.end + axis, body.end + axis)
 
-    def _same(self, at: Expr, one: tuple[Expr, int], other: tuple[Expr, int]) -> None:
+    def _same(self, at: Expr | str, one: int, other: int) -> None:
         """Two axes of one frame and space."""
-        a, b = (self._ends[id(value)] + axis for value, axis in (one, other))
-        self._refuse(at, self._frames.link(a, b, False) or self._spaces.link(a, b, False))
+        self._refuse(at, self._frames.link(one, other, False))
+        self._refuse(at, self._spaces.link(one, other, False))
 
-    def _link(self, node: Expr, rule: Rule, links: Iterable[Link], ends: Mapping[int, int]) -> None:
+    def _link(self, node: Expr, children: Sequence[Expr], ends: Sequence[int], pairs: NodePairs) -> None:
         """What a node says of the axes of its operands and its value."""
-        for value, axis, space in rule.spaces(node):
-            if value.shape[axis] == _SIX:
-                self._fix(self._spaces, ends[id(value)] + axis, AxisFact(space, value, axis, node))
-        for one, axis, other, its_axis, common in links:
-            a, b = ends[id(one)] + axis, ends[id(other)] + its_axis
-            both = self._frames.link(a, b, False)
-            if common is not Common.FRAME and one.shape[axis] == _SIX:
-                both = both or self._spaces.link(a, b, common is Common.DUAL)
+        values, link_frames = (*children, node), self._frames.link
+        for k, axis, space in pairs.spaces:
+            self._fix(self._spaces, ends[k] + axis, AxisFact(space, values[k], axis, node))
+        for one, axis, other, its_axis, dual in pairs.links:
+            a, b = ends[one] + axis, ends[other] + its_axis
+            both = link_frames(a, b, False)
+            if dual is not None:
+                both = both or self._spaces.link(a, b, dual)
             if both:
                 self._refuse(node, both)
-        for vector, by in rule.unframed(node):
-            if not self._free[id(by)]:
-                self._unframed.append((node, vector, by))
+        for vector, by in pairs.unframed:
+            if not self._values[id(values[by])].free:
+                self._unframed.append((node, values[vector], values[by]))
 
     def read_rate(self, state: State, rate: Expr) -> None:
         """A rate has the frame and space of its state, and its unit per second; the rate of a pose is a twist."""
         self._leaf(state)
-        place = f"the rate of {state.name!r}"
-        free = self._free[id(rate)]
-        of_state, of_rate = self._ends[id(state)], self._numbered(rate) if free else self._ends[id(rate)]
+        place, of_state, of_rate = f"the rate of {state.name!r}", self._values[id(state)], self._values[id(rate)]
+        end = self._numbered(rate.shape) if of_rate.free else of_rate.end
         if state.group.flat and state.shape == rate.shape:
             if len(state.shape) != 1 or state.shape[0] != 4:  # a quaternion has two frames, its rate none
                 for axis in range(-state.ndim, 0):
-                    self._refuse(place, self._frames.link(of_state + axis, of_rate + axis, False))
-                    self._refuse(place, self._spaces.link(of_state + axis, of_rate + axis, False))
+                    self._same(place, of_state.end + axis, end + axis)
         elif state.group.rigid:
-            self._refuse(place, self._frames.link(of_state - 1, of_rate - 1, False))
+            self._refuse(place, self._frames.link(of_state.end - 1, end - 1, False))
             if rate.shape == (_SIX,):
-                self._fix(self._spaces, of_rate - 1, AxisFact(Space.MOTION, rate, -1, place))
-        of = ONE if state.group.rigid else self._units[of_state]
-        unit = self._units[self._ends[id(rate)]]
+                self._fix(self._spaces, end - 1, AxisFact(Space.MOTION, rate, -1, place))
+        of = ONE if state.group.rigid else of_state.unit
+        unit = of_rate.unit
         if of is not None and unit is not None and unit != of / SECOND:
             what = f"{state.name!r}, a pose or rotation," if state.group.rigid else f"{state.name!r} in {of}"
             raise self._of_units(place, Clash(f"the rate of {what} is in {of / SECOND}", (rate, unit)), of / SECOND)
@@ -267,7 +283,8 @@ class Inference:
     def check_unframed(self) -> None:
         """Raise KindError if a scalar is added to the entries of a vector in a frame."""
         for node, vector, scalar in self._unframed:
-            known = None if self._free[id(vector)] else self._frames.known(self._ends[id(vector)] - 1)
+            value = self._values[id(vector)]
+            known = None if value.free else self._frames.known(value.end - 1)
             if known:
                 raise KindError(
                     f"a scalar is added to each entry of a vector in {known.fact!r}.\n  where: {self.place(node)}\n"
@@ -316,22 +333,22 @@ class Inference:
 
     def knows(self, value: Expr) -> bool:
         """Whether the kind or unit of a value is known."""
-        end = self._ends[id(value)]
+        known = self._values[id(value)]
         axes = range(-2 if value.shape == (4,) else -value.ndim, 0)
-        facts = (classes.known(end + axis) for axis in axes for classes in (self._frames, self._spaces))
-        return self._units.get(end) is not None or any(facts)
+        facts = (classes.known(known.end + axis) for axis in axes for classes in (self._frames, self._spaces))
+        return known.unit is not None or any(facts)
 
     def unit(self, value: Expr) -> Unit | None:
         """The unit of a value, for a six-vector that of its angular part; None if undetermined."""
-        return self._units.get(self._ends[id(value)])
+        return self._values[id(value)].unit
 
     def spaces(self, value: Expr) -> list[Space | None]:
         """The space of each axis of a value; None if undetermined or not of length six."""
-        return [self._space(self._ends[id(value)] + axis) for axis in range(-value.ndim, 0)]
+        return [self._space(self._values[id(value)].end + axis) for axis in range(-value.ndim, 0)]
 
     def description(self, value: Expr) -> str:
         """A text about a value: its kind, frames and unit, or "open"."""
-        end, spaces = self._ends[id(value)], self.spaces(value)
+        end, spaces = self._values[id(value)].end, self.spaces(value)
         axes = (-2, -1) if value.ndim == 2 or value.shape == (4,) else (-1,) if value.ndim == 1 else ()
         frames = [self._frames.known(end + axis) for axis in axes]
         names = ["open" if frame is None else repr(frame.fact) for frame in frames]

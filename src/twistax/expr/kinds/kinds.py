@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import enum
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from ...errors import ModelError
@@ -56,6 +57,19 @@ class Kind:
         """The body and the body that it moves relative to, or the body on which a wrench acts; None if not declared."""
         return None
 
+    def names(self) -> set[str]:
+        """All frames and bodies that are named."""
+        return {getattr(self, field.name) for field in dataclasses.fields(self)} - {""}
+
+    def moving(self) -> set[str]:
+        """The frames and bodies that move with the value, of which a copy of a system has its own."""
+        return set()
+
+    def renamed(self, names: Mapping[str, str]) -> Kind:
+        """The same kind with other names of frames and bodies."""
+        fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        return dataclasses.replace(self, **{field: names.get(name, name) for field, name in fields.items()})
+
     def check(self, name: str, shape: Shape) -> None:
         """Raise ModelError if a leaf (or the elements of a stack) has another shape, or if a frame is not a name."""
         if shape not in self.shapes and shape[1:] not in self.shapes:
@@ -99,6 +113,9 @@ class Twist(_OfSix):
         known = {self.of: 1, self.relative_to: -1}
         return BodyMotion({name: n for name, n in known.items() if name}) if self.of != self.relative_to else None
 
+    def moving(self) -> set[str]:
+        return {self.of} - {""}
+
 
 @dataclasses.dataclass(frozen=True)
 class Wrench(_OfSix):
@@ -117,6 +134,9 @@ class Wrench(_OfSix):
 
     def bodies(self) -> Bodies:
         return Acts(self.on) if self.on else None
+
+    def moving(self) -> set[str]:
+        return {self.on} - {""}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -200,6 +220,9 @@ class Rotation(Kind):
 
     def axes(self) -> dict[int, str]:
         return {-2: self.to, -1: self.source}
+
+    def moving(self) -> set[str]:
+        return {self.source} - {""}
 
 
 @dataclasses.dataclass(frozen=True)

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Hashable, Iterable
 from typing import Any
 
 from .kinds import Space
-from .rules import Clash, Common, Link, OneFrame, Rule, SpaceOf, Units
+from .rules import ByShapes, Clash, Common, Link, OneFrame, Rule, SpaceOf, Units
 from .unit import METRE, ONE, Unit
 
 
 @dataclasses.dataclass(frozen=True)
-class _FixedUnit(Rule):
+class _FixedUnit(ByShapes):
     """Base of rules with a fixed unit."""
 
     gives: Unit | None = None
@@ -79,6 +79,10 @@ class Carried(Rule):
     space: Space = Space.MOTION
     by_operands = keeps_bodies = True
 
+    def variant(self, node: Any) -> Hashable:
+        """Whether it changes the frame by the inverse."""
+        return bool(node.inverse)
+
     def links(self, node: Any) -> Iterable[Link]:
         transform, vector = node.children()
         to, source = (-1, -2) if node.inverse else (-2, -1)
@@ -93,7 +97,7 @@ class Carried(Rule):
         return units[1]
 
 
-class _HalfOfSix(Rule):
+class _HalfOfSix(ByShapes):
     """The linear or the angular part of a six-vector."""
 
     by_operands = keeps_bodies = True
@@ -110,7 +114,7 @@ class _HalfOfSix(Rule):
         return None if of is None else known * METRE if of is Space.MOTION else known / METRE
 
 
-class _JoinedHalves(Rule):
+class _JoinedHalves(ByShapes):
     """A six-vector of both parts: their units say whether it is a twist or a wrench."""
 
     by_operands = True
@@ -162,7 +166,7 @@ class OfTwist(_FixedUnit):
         return self.gives
 
 
-class _Reordered(Rule):
+class _Reordered(ByShapes):
     """The same value in the other order."""
 
     by_operands = keeps_bodies = True

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import enum
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from fractions import Fraction
 from typing import Any, ClassVar, TypeAlias
 
@@ -65,6 +65,13 @@ class Rule:
     entrywise: ClassVar[bool] = False
     #: Whether it maps a body over batches: elements and results are as the values of the body.
     maps: ClassVar[bool] = False
+
+    def variant(self, node: Any) -> Hashable:
+        """What `links`, `spaces` and `unframed` depend on besides the class of the node and the shapes of its operands.
+
+        None: they are read anew for each node.
+        """
+        return None
 
     def links(self, node: Any) -> Iterable[Link]:
         """The pairs of corresponding axes."""
@@ -178,15 +185,22 @@ def _product(values: Sequence[Any], units: Units) -> Unit | None:
     """The product of units; a whole number counts, and has none."""
     total = ONE
     for value, unit in zip(values, units, strict=True):
-        if unit is None and not getattr(value, "whole", False):
+        if unit is None and not (hasattr(type(value), "whole") and value.whole):
             return None
         total *= unit or ONE
     return total
 
 
+class ByShapes(Rule):
+    """Base of rules whose pairs of axes depend on the class of a node and the shapes of its operands alone."""
+
+    def variant(self, node: Any) -> Hashable:
+        return True
+
+
 @dataclasses.dataclass(frozen=True)
-class Terms(Rule):
-    """Operands and result have the same kind and unit; the first `conditions` operands are excluded.
+class Terms(ByShapes):
+    """Operands and result agree in everything; the first `conditions` operands are apart from that.
 
     A scalar that is added to each entry of a vector is not frame-invariant.
 
@@ -222,7 +236,7 @@ class Terms(Rule):
 
 
 @dataclasses.dataclass(frozen=True)
-class UnitPower(Rule):
+class UnitPower(ByShapes):
     """Entrywise power: the unit to that power; None reads the power from a constant exponent."""
 
     power: Fraction | None = None
@@ -246,7 +260,7 @@ class UnitPower(Rule):
 
 
 @dataclasses.dataclass(frozen=True)
-class NumberRule(Rule):
+class NumberRule(ByShapes):
     """Operands are angles in rad or numbers without unit, and the result is one; `of_one_unit`: operands have one
     common unit.
     """
@@ -263,7 +277,7 @@ class NumberRule(Rule):
         return self.gives
 
 
-class _Product(Rule):
+class _Product(ByShapes):
     """Entry by entry: one frame; the units multiply."""
 
     by_operands = entrywise = True
@@ -295,7 +309,7 @@ class _Quotient(_Product):
 
 
 @dataclasses.dataclass(frozen=True)
-class MatrixRule(Rule):
+class MatrixRule(ByShapes):
     """Products, inverses and similar nodes: the axes of `shared_orders`, of which some groups are dual; powers of
     units.
     """
@@ -319,15 +333,16 @@ class MatrixRule(Rule):
 class _Pairing(MatrixRule):
     """A product of matrices and vectors. A vector with itself is the square of its length, and no power."""
 
-    def links(self, node: Any) -> Iterable[Link]:
+    def variant(self, node: Any) -> Hashable:
+        """Whether it is the square of a vector's length."""
         left, right = node.children()
-        if left.ndim == right.ndim == 1 and left.key() == right.key():
-            return ()
-        return super().links(node)
+        return len(left.shape) == len(right.shape) == 1 and (left is right or left.key() == right.key())
+
+    def links(self, node: Any) -> Iterable[Link]:
+        return () if self.variant(node) else super().links(node)
 
     def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
-        left, right = node.children()
-        if left.ndim == 1 and left.key() == right.key() and six(left, space):
+        if None in units or (self.variant(node) and six(node.children()[0], space)):
             return None
         return super().unit(node, units, space)
 
@@ -359,7 +374,7 @@ DIAGONAL = MatrixRule((Common.FRAME,), (1,))
 
 
 @dataclasses.dataclass(frozen=True)
-class OneFrame(Rule):
+class OneFrame(ByShapes):
     """All axes have one frame, and the units multiply. `axes`: those of each operand, then of the result."""
 
     axes: tuple[tuple[int, ...], ...]
@@ -375,18 +390,13 @@ class OneFrame(Rule):
         return _product(node.children(), units)
 
 
-class _Cross(Rule):
+class _Cross(OneFrame):
     """A vector product: one frame, units multiply."""
-
-    by_operands = True
 
     def links(self, node: Any) -> Iterable[Link]:
         left, right = node.children()
         for value in (right, node):
             yield left, -1, value, -value.ndim, Common.FRAME
 
-    def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
-        return _product(node.children(), units)
 
-
-CROSS = _Cross()
+CROSS = _Cross(())

@@ -76,7 +76,7 @@ def checking_kinds(runs: int = 15) -> float:
         return time.process_time() - begin
 
     pairs = [(seconds(), seconds(unit="N m")) for _ in range(runs)]
-    plain, checked = (median(times) for times in zip(*pairs, strict=True))
+    plain, checked = (min(times) for times in zip(*pairs, strict=True))  # other processes only add to them
     return 1.0 - plain / checked
 
 

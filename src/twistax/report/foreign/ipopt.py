@@ -112,23 +112,22 @@ class _Statement:
     # ---- an interval; each gives its share of the running cost ------------------------------------------------------
 
     def _shot(self, k: int, t: Any, h: Any) -> Any:
-        steps, weights = self.problem.rule.substeps, self.problem.rule.weights
+        steps = self.problem.rule.substeps
         f = lambda x, share: self.f(x, self._control(k, share), self.p, t + share * h)  # noqa: E731
-        x, d = self.X[:, k], h / steps
-        cost = weights[0] * f(x, 0.0)[1]
+        x, d, cost = self.X[:, k], h / steps, 0.0
         for i in range(steps):
             begin, middle, end = i / steps, (i + 0.5) / steps, (i + 1) / steps
-            k1 = f(x, begin)[0]
-            k2 = f(x + d / 2 * k1, middle)[0]
-            k3 = f(x + d / 2 * k2, middle)[0]
-            k4 = f(x + d * k3, end)[0]
+            k1, q1, _ = f(x, begin)
+            k2, q2, _ = f(x + d / 2 * k1, middle)
+            k3, q3, _ = f(x + d / 2 * k2, middle)
+            k4, q4, _ = f(x + d * k3, end)
             x = x + d / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+            cost += d / 6 * (q1 + 2 * q2 + 2 * q3 + q4)
             if i + 1 < steps:
                 self._boxes(x)
                 self._asked(f(x, end)[2], lambda reads: reads & set(self.problem.states))
-            cost += weights[i + 1] * f(x if i + 1 < steps else self.X[:, k + 1], end)[1]
         self.opti.subject_to(self.X[:, k + 1] == x)
-        return h * cost
+        return cost
 
     def _collocated(self, k: int, t: Any, h: Any) -> Any:
         """Direct collocation, whose inner states are unknowns."""

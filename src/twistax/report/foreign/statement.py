@@ -51,7 +51,7 @@ class Var:
 
 @dataclasses.dataclass(frozen=True)
 class RungeKutta:
-    """Multiple shooting by RK4; the running cost by Simpson's rule over the substeps (odd: the trapezoid rule)."""
+    """Multiple shooting by RK4, which integrates the running cost too."""
 
     substeps: int = 1
 
@@ -59,15 +59,6 @@ class RungeKutta:
     def words(self) -> str:
         """For tables."""
         return f"RK4 x {self.substeps}"
-
-    @property
-    def weights(self) -> Array:
-        """Of the running cost at the ends of the substeps of a unit interval."""
-        weights = np.full(self.substeps + 1, 2.0)
-        if self.substeps % 2 == 0:
-            weights[1::2] = 4.0
-        weights[[0, -1]] = 1.0
-        return weights / weights.sum()
 
     @property
     def transcription(self) -> Any:

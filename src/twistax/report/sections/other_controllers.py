@@ -81,19 +81,19 @@ def _transcribed(loop_in_casadi: _Stated) -> tuple[dict[str, Any], dict[str, Any
     ca = needed("casadi")
     x, u, N = loop_in_casadi.x, loop_in_casadi.u, loop_in_casadi.intervals
     nx, nu = x.numel(), u.numel()
-    f = ca.Function("f", [x, u], [loop_in_casadi.rate])
+    f = ca.Function("f", [x, u], [ca.vertcat(loop_in_casadi.rate, loop_in_casadi.running)])
     k1 = f(x, u)
-    k2 = f(x + LENGTH / 2 * k1, u)
-    k3 = f(x + LENGTH / 2 * k2, u)
-    k4 = f(x + LENGTH * k3, u)
-    step = ca.Function("step", [x, u], [x + LENGTH / 6 * (k1 + 2 * k2 + 2 * k3 + k4)])
-    running = ca.Function("running", [x, u], [loop_in_casadi.running])
+    k2 = f(x + LENGTH / 2 * k1[:nx], u)
+    k3 = f(x + LENGTH / 2 * k2[:nx], u)
+    k4 = f(x + LENGTH * k3[:nx], u)
+    moved = LENGTH / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    step = ca.Function("step", [x, u], [x + moved[:nx], moved[nx]])
     xs, us = [ca.SX.sym(f"x{k}", nx) for k in range(N + 1)], [ca.SX.sym(f"u{k}", nu) for k in range(N)]
-    start, gaps = ca.SX.sym("start", nx), []
+    start, gaps, cost = ca.SX.sym("start", nx), [], ca.Function("final", [x], [loop_in_casadi.final])(xs[N])
     for k in range(N):
-        gaps += [xs[k + 1] - step(xs[k], us[k])] + [xs[0] - start] * (k == 0)
-    ends = [running(xs[k], us[k]) + running(xs[k + 1], us[k]) for k in range(N)]
-    cost = LENGTH / 2 * sum(ends) + ca.Function("final", [x], [loop_in_casadi.final])(xs[N])
+        end, running = step(xs[k], us[k])
+        cost += running
+        gaps += [xs[k + 1] - end] + [xs[0] - start] * (k == 0)
     unknowns = ca.vertcat(*[a for pair in zip(xs, us) for a in pair], xs[N])
     bounds = [
         np.r_[np.tile(np.r_[np.full(nx, -side), np.full(nu, limit)], N), np.full(nx, -side)]

@@ -289,11 +289,11 @@ int32_t twx_sensitivities(twx_memory *t, const double *z) {
 static void explicit_adjoints(twx_memory *t, size_t j, size_t k, double *adjoint) {
   const twx_phase *f = t->phase;
   const size_t s = STAGES_OF(f), n = N_OF(t);
-  const double length = t->widths[k] / f->substeps;
+  const double length = t->widths[k] / f->substeps, *pulls = t->pulls + (stage_place(t, j * s) * t->K + k) * n;
   for (size_t i = s; i-- > 0;) {
     double *restrict own = t->adjoints + (i * t->K + k) * n, *restrict back = t->through + (i * t->K + k) * n;
     const double *restrict J = t->J + ((j * s + i) * t->K + k) * n * SIZE_OF(t);
-    for (size_t d = 0; d < n; d++) own[d] = length * f->b[i] * adjoint[d], back[d] = 0;
+    for (size_t d = 0; d < n; d++) own[d] = length * f->b[i] * adjoint[d], back[d] = pulls[i * t->K * n + d];
     for (size_t l = i + 1; l < s; l++) {
       const double *restrict through = t->through + (l * t->K + k) * n, factor = length * f->a[l * s + i];
       if (factor == 0) continue;
@@ -311,7 +311,7 @@ static void explicit_adjoints(twx_memory *t, size_t j, size_t k, double *adjoint
 static void implicit_adjoints(twx_memory *t, size_t j, size_t k, double *adjoint) {
   const twx_phase *f = t->phase;
   const size_t s = STAGES_OF(f), n = N_OF(t), sn = s * n;
-  const double length = t->widths[k] / f->substeps, *pulls = t->pulls + ((size_t)f->substeps + 1 + j * s) * t->K * n;
+  const double length = t->widths[k] / f->substeps, *pulls = t->pulls + stage_place(t, j * s) * t->K * n;
   double *r = t->right;
   factorize_stages(t, j, k);
   for (size_t i = 0; i < s; i++)

@@ -28,7 +28,7 @@ twx_phase_sizes twx_lay_out(twx_memory *t, const twx_phase *f, double *work, dou
   const size_t block = twx_most(rows, size) * size * TWX_LANES, stages = all * K * n * size;
   twx_phase_sizes used = {0, 0};
   *t = (twx_memory){.phase = f, .n = n, .size = size, .stages = all};
-  t->points = S + 1 + (f->implicit ? all : 0);
+  t->points = S + 1 + all;
   t->state = next_of(work, &used.work, 1);
   t->at = next_of(work, &used.work, !twx_is_kept(f) ? 0 : (K + 1) * (size_t)f->point + K * (size_t)f->m + (size_t)f->p);
   t->q = next_of(work, &used.work, (S + 1 + all) * K * size), t->shares = next_of(work, &used.work, (S + 1 + all) * K);
@@ -46,6 +46,7 @@ twx_phase_sizes twx_lay_out(twx_memory *t, const twx_phase *f, double *work, dou
   t->through = next_of(scratch, &used.scratch, s * K * n), t->pulls = next_of(scratch, &used.scratch, t->points * K * n);
   t->gap_slopes = t->row_slopes = next_of(scratch, &used.scratch, K * twx_most(rows * size, n * n));
   t->adjoint = next_of(scratch, &used.scratch, K * n), t->bends = next_of(scratch, &used.scratch, K * size * size);
+  t->cost_bends = next_of(scratch, &used.scratch, K * size * size);
   t->moved = next_of(scratch, &used.scratch, size * size + joined * (joined + size));
   t->weights = next_of(scratch, &used.scratch, K * twx_most(rows, n));
   twx_open_window(t, 0);

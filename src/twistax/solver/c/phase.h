@@ -8,8 +8,8 @@
 
 typedef struct { /* arrays of a window of a phase: K intervals, S substeps, s stages; size = n + m + p */
   const twx_phase *phase;
-  size_t first, K, n, size, stages, points, blocks; /* first: interval of the window; stages: S s; points: S + 1, and S s
-                                                       where stages are looked at; blocks: of TWX_LANES intervals */
+  size_t first, K, n, size, stages, points, blocks; /* first: interval of the window; stages: S s; points: S + 1 + S s;
+                                                       blocks: of TWX_LANES intervals */
   const double *starts, *widths; /* of its intervals */
   double *state;                /* how far the memory is filled: 1 integrated, 2 differentiated too */
   double *at;                   /* the point for which it is; both only where the window is the whole phase */
@@ -28,7 +28,8 @@ typedef struct { /* arrays of a window of a phase: K intervals, S substeps, s st
   double *pulls;                /* (points, K, n): gradients by eta of rows and cost, weighted */
   double *rows;                 /* (K, max(path_rows + 1, rows of a node)) */
   double *row_slopes;           /* (K, as many, size) */
-  double *bends, *moved;        /* (K, size, size); scratch: (size, size), and of a join */
+  double *bends, *cost_bends;   /* (K, size, size): second derivatives by q; those of the cost at a stage */
+  double *moved;                /* scratch: (size, size), and of a join */
   double *map;                  /* (n, size): of an interval */
   double *matrix, *right;       /* of implicit stages: (K, s n, s n), (s n, size) */
   double *weights;              /* (K, as many rows, or n) */

@@ -54,24 +54,20 @@ static void move_rows(const twx_memory *t, size_t point, size_t block, size_t ro
   if (!twx_is_start(t, point)) twx_lanes_along(t, rows - from, packed, SIZE_OF(t), twx_maps_at(t, point, block), moved);
 }
 
-static void rows_jacobians(twx_memory *t, const double *z, double *gradient, double *Jh, double *Je) {
+/* What the slopes of a point add to Jacobians and to the gradient of the cost. */
+static void point_jacobians(const twx_memory *t, size_t point, const twx_derivatives *d) {
   const twx_phase *f = t->phase;
-  const size_t R = (size_t)f->path_rows, size = SIZE_OF(t), nv = N_OF(t) + (size_t)f->m;
-  for (size_t point = 0; point < t->points; point++) {
-    if (!is_asked(t, point)) continue;
-    const size_t from = has_rows(t, point) ? 0 : R;
-    twx_call(&f->rows.slopes, t, twx_inputs_at(t, z, point), t->K, t->row_slopes, (R + 1) * size);
-    for (size_t k = 0; k < t->K; k++) {
-      const size_t lane = k % TWX_LANES;
-      const double weight = t->widths[k] * f->weights[point], *moved = t->lane_moved + lane;
-      if (lane == 0) move_rows(t, point, k / TWX_LANES, R + 1, from);
-      for (size_t r = from; point <= (size_t)f->substeps && r < R; r++)
-        twx_add_row(f, t->first + k, places_at(t, point, k)[r], moved + r * size * TWX_LANES, TWX_LANES, size, 0, Jh, Je);
-      for (size_t j = 0; j < size; j++) {
-        const double slope = moved[(R * size + j) * TWX_LANES];
-        gradient[j < nv ? (size_t)f->at.v[t->first + k] + j : (size_t)f->parameters_v + j - nv] += weight * slope;
-        if (j >= nv) f->cost_slopes[(t->first + k) * (size - nv) + j - nv] += weight * slope;
-      }
+  const size_t R = (size_t)f->path_rows, size = SIZE_OF(t), nv = N_OF(t) + (size_t)f->m, from = has_rows(t, point) ? 0 : R;
+  for (size_t k = 0; k < t->K; k++) {
+    const size_t lane = k % TWX_LANES;
+    const double weight = t->widths[k] * f->weights[point], *moved = t->lane_moved + lane;
+    if (lane == 0) move_rows(t, point, k / TWX_LANES, R + 1, from);
+    for (size_t r = from; r < R; r++)
+      twx_add_row(f, t->first + k, places_at(t, point, k)[r], moved + r * size * TWX_LANES, TWX_LANES, size, 0, d->Jh, d->Je);
+    for (size_t j = 0; j < size; j++) {
+      const double slope = moved[(R * size + j) * TWX_LANES];
+      d->gradient[j < nv ? (size_t)f->at.v[t->first + k] + j : (size_t)f->parameters_v + j - nv] += weight * slope;
+      if (j >= nv) f->cost_slopes[(t->first + k) * (size - nv) + j - nv] += weight * slope;
     }
   }
 }
@@ -97,30 +93,40 @@ static void write_hessians(const twx_memory *t, double *H) {
   }
 }
 
-/* Second derivatives of rows and cost, and their gradients by eta. */
-static void rows_hessians(twx_memory *t, const double *z, double weight, const double *y, const double *ye) {
+/* What a point is weighted by: rows at ends of substeps by their multipliers, the cost everywhere. Whether by anything. */
+static int32_t weigh_rows(const twx_memory *t, size_t point, double weight, const double *y, const double *ye) {
   const twx_phase *f = t->phase;
-  const size_t R = (size_t)f->path_rows, size = SIZE_OF(t);
+  const size_t R = (size_t)f->path_rows;
+  for (size_t k = 0; k < t->K; k++) {
+    double *w = t->weights + k * (R + 1);
+    for (size_t r = 0; r < R; r++)
+      w[r] = point <= (size_t)f->substeps ? twx_weight_of(f, t->first + k, places_at(t, point, k)[r], y, ye) : 0;
+    w[R] = weight * t->widths[k] * f->weights[point];
+  }
+  return !is_zero(t->weights, t->K * (R + 1)); /* the curvature of other rows is asked for */
+}
+
+static twx_inputs weighted_at(const twx_memory *t, const double *z, size_t point) {
+  twx_inputs in = twx_inputs_at(t, z, point);
+  in.weights = t->weights, in.weight_width = (size_t)t->phase->path_rows + 1;
+  return in;
+}
+
+/* Derivatives of rows and cost; the second ones with gradients by eta, but for those at stages, which come with rates. */
+static void rows_derivatives(twx_memory *t, const double *z, const twx_multipliers *q, const twx_derivatives *d) {
+  const size_t rows = (size_t)t->phase->path_rows + 1, size = SIZE_OF(t), n = N_OF(t);
   for (size_t point = 0; point < t->points; point++) {
-    double *pulls = t->pulls + point * t->K * N_OF(t);
-    memset(pulls, 0, sizeof(double) * t->K * N_OF(t));
+    double *pulls = t->pulls + point * t->K * n;
+    if (d->H) memset(pulls, 0, sizeof(double) * t->K * n);
     if (!is_asked(t, point)) continue;
-    for (size_t k = 0; k < t->K; k++) {
-      double *w = t->weights + k * (R + 1);
-      for (size_t r = 0; r < R; r++)
-        w[r] = point <= (size_t)f->substeps ? twx_weight_of(f, t->first + k, places_at(t, point, k)[r], y, ye) : 0;
-      w[R] = weight * t->widths[k] * f->weights[point];
-    }
-    if (is_zero(t->weights, t->K * (R + 1))) continue; /* the curvature of other rows is asked for */
-    twx_inputs in = twx_inputs_at(t, z, point);
-    in.weights = t->weights, in.weight_width = R + 1;
-    twx_call(&f->rows.slopes, t, in, t->K, t->row_slopes, (R + 1) * size);
-    for (size_t k = 0; k < t->K; k++)
-      for (size_t r = 0; r <= R; r++)
-        for (size_t i = 0; i < N_OF(t) && t->weights[k * (R + 1) + r] != 0; i++)
-          pulls[k * N_OF(t) + i] += t->weights[k * (R + 1) + r] * t->row_slopes[(k * (R + 1) + r) * size + i];
-    if (!f->rows.bends.run) continue;
-    twx_call(&f->rows.bends, t, in, t->K, t->bends, size * size);
+    const int32_t bent = d->H && weigh_rows(t, point, q->cost, q->y, q->ye);
+    if (!d->F && !bent) continue;
+    twx_call(&t->phase->rows.slopes, t, twx_inputs_at(t, z, point), t->K, t->row_slopes, rows * size);
+    if (d->F) point_jacobians(t, point, d);
+    for (size_t r = 0; r < t->K * rows && bent; r++)
+      for (size_t i = 0; i < n && t->weights[r] != 0; i++) pulls[r / rows * n + i] += t->weights[r] * t->row_slopes[r * size + i];
+    if (!bent || !t->phase->rows.bends.run || point > (size_t)t->phase->substeps) continue;
+    twx_call(&t->phase->rows.bends, t, weighted_at(t, z, point), t->K, t->bends, size * size);
     add_bends(t, point);
   }
 }
@@ -201,21 +207,33 @@ static void gap_derivatives(twx_memory *t, const double *z, const twx_multiplier
   if (weighted && f->gap.bends.run) gap_bends(t, z);
 }
 
-/* Adjoints back through the substeps of all intervals; each stage adds the second derivative of its rate. */
-static void rate_hessians(twx_memory *t, const double *z, double *adjoint) {
+/* The second derivatives of a stage's rate by its adjoint and of the cost there, together. */
+static void stage_bends(twx_memory *t, const double *z, size_t i, size_t place, double weight) {
   const twx_phase *f = t->phase;
-  const size_t S = (size_t)f->substeps, s = STAGES_OF(f), n = N_OF(t), size = SIZE_OF(t);
+  const size_t size = SIZE_OF(t), count = t->K * size * size;
+  const int32_t bent = f->rate.bends.run && !is_zero(t->adjoints + i * t->K * N_OF(t), t->K * N_OF(t));
+  const int32_t has_cost = f->rows.bends.run && weight != 0 && f->weights[place] != 0;
+  if (bent) {
+    twx_inputs in = twx_inputs_at(t, z, place);
+    in.weights = t->adjoints + i * t->K * N_OF(t), in.weight_width = N_OF(t);
+    twx_call(&f->rate.bends, t, in, t->K, t->bends, size * size);
+  }
+  if (has_cost) {
+    weigh_rows(t, place, weight, NULL, NULL);
+    twx_call(&f->rows.bends, t, weighted_at(t, z, place), t->K, bent ? t->cost_bends : t->bends, size * size);
+    for (size_t e = 0; bent && e < count; e++) t->bends[e] += t->cost_bends[e];
+  }
+  if (bent || has_cost) add_bends(t, place);
+}
+
+/* Adjoints back through the substeps of all intervals; each stage adds its second derivatives. */
+static void rate_hessians(twx_memory *t, const double *z, double weight, double *adjoint) {
+  const twx_phase *f = t->phase;
+  const size_t S = (size_t)f->substeps, s = STAGES_OF(f), n = N_OF(t);
   for (size_t i = 0; i < t->K * n; i++) adjoint[i] += t->pulls[S * t->K * n + i];
   for (size_t j = S; j-- > 0;) {
     twx_adjoint_stages(t, j, adjoint);
-    for (size_t i = 0; i < s && f->rate.bends.run; i++) {
-      const size_t place = S + 1 + j * s + i;
-      if (is_zero(t->adjoints + i * t->K * n, t->K * n)) continue;
-      twx_inputs in = twx_inputs_at(t, z, place);
-      in.weights = t->adjoints + i * t->K * n, in.weight_width = n;
-      twx_call(&f->rate.bends, t, in, t->K, t->bends, size * size);
-      add_bends(t, place);
-    }
+    for (size_t i = 0; i < s; i++) stage_bends(t, z, i, S + 1 + j * s + i, weight);
     for (size_t i = 0; i < t->K * n; i++) adjoint[i] += t->pulls[j * t->K * n + i];
   }
 }
@@ -251,14 +269,11 @@ int32_t twx_transcribed_values(void *user, const double *z, double *cost, double
 /* Derivatives of a window, of the first order where F is no NULL, and of the second where H is none. */
 static int32_t window_derivatives(twx_memory *t, const double *z, const twx_multipliers *weights, const twx_derivatives *d) {
   if (twx_sensitivities(t, z)) return 1;
-  if (d->F) rows_jacobians(t, z, d->gradient, d->Jh, d->Je);
-  if (d->H) {
-    memset(t->H, 0, sizeof(double) * t->blocks * SIZE_OF(t) * SIZE_OF(t) * TWX_LANES);
-    rows_hessians(t, z, weights->cost, weights->y, weights->ye);
-  }
+  if (d->H) memset(t->H, 0, sizeof(double) * t->blocks * SIZE_OF(t) * SIZE_OF(t) * TWX_LANES);
+  rows_derivatives(t, z, weights, d);
   gap_derivatives(t, z, weights, d);
   if (!d->H) return 0;
-  rate_hessians(t, z, t->adjoint);
+  rate_hessians(t, z, weights->cost, t->adjoint);
   write_hessians(t, d->H);
   return 0;
 }

@@ -18,6 +18,7 @@ from ...scalar.targets.c import c_type
 from ...solver.exported.kernel_code import array
 from ...solver.exported.phase_code import LANES, PhaseCode
 from ...solver.sources import constant, controller_core
+from ...solver.transcription import NONE
 from ...system.export import CFiles
 from ...system.export.c99 import check_name, write_files
 from ...system.export.c_code import mark
@@ -169,7 +170,9 @@ class ControllerCode:
         """The number of scalar operations: those of the kernels, and those of matrix products from their sizes."""
         operations, (phase,) = self._phase.kernels.operations, self._staged.transcription.phases
         method, K = phase.method, phase.intervals
-        stages, points = method.substeps * len(method.b), method.substeps + 1
+        stages, evaluated = method.substeps * len(method.b), method.weights != 0
+        evaluated[: method.substeps + 1] |= (phase.path != NONE).any(axis=(0, 2))
+        points = int(np.count_nonzero(evaluated))
 
         def rows(name: str) -> int:
             return stages if "_rate" in name else points if "_rows" in name else 1

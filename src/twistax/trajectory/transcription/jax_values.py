@@ -91,11 +91,10 @@ class JaxValues:
         etas = jnp.concatenate([eta[None], ends, stages.reshape(-1, len(eta))])
         ends_at = fixed.start + fixed.width * as_array(np.linspace(0.0, 1.0, method.substeps + 1))
         shares = jnp.concatenate([ends_at, (firsts[:, None] + length * c[None, :]).reshape(-1)])
-        count = method.substeps + 1 if not method.weights[method.substeps + 1 :].any() else len(etas)
-        q = jax.vmap(lambda eta: jnp.concatenate([eta, fixed.u, fixed.border]))(etas[:count])
-        values = jax.vmap(self._point, in_axes=(0, 0, None, None))(q, shares[:count], fixed.base, fixed.params)
+        q = jax.vmap(lambda eta: jnp.concatenate([eta, fixed.u, fixed.border]))(etas)
+        values = jax.vmap(self._point, in_axes=(0, 0, None, None))(q, shares, fixed.base, fixed.params)
         rows = values[: method.substeps + 1, :-1].reshape(-1)[layout.path_indices.astype(np.int32)]
-        cost = fixed.width * (as_array(method.weights[:count]) @ values[:, -1])
+        cost = fixed.width * (as_array(method.weights) @ values[:, -1])
         return last, rows, cost
 
     def _slope(self, fixed: _Fixed, shares: jax.Array, k: int, eta: jax.Array) -> jax.Array:

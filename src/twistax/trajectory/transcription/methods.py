@@ -6,7 +6,6 @@ import dataclasses
 from typing import Any
 
 import numpy as np
-from numpy import ndarray as Array
 
 from ...checks import whole
 from ...errors import TrajectoryError
@@ -22,6 +21,8 @@ _LOOKS = 8
 @dataclasses.dataclass(frozen=True)
 class MultipleShooting:
     """An explicit Runge-Kutta method in exponential coordinates about the first node of an interval.
+
+    The running cost is integrated to the order of the tableau, as if it were the rate of another state.
 
     Args:
         method: an `RKMK` with an explicit tableau; RK4 by default. Its `chart` is ignored.
@@ -40,16 +41,12 @@ class MultipleShooting:
 
     @property
     def scheme(self) -> Scheme:
-        """The tableau and weights that the solver's core uses.
-
-        The running cost is integrated by Simpson's rule at the ends of substeps.
-        """
+        """The tableau that the solver's core uses."""
         a, c = self.method.tableau.counted
         square = np.zeros((len(c), len(c)))
         for row, weights in zip(square, a):
             row[: len(weights)] = weights
-        weights = np.concatenate([_simpson(self.substeps), np.zeros(self.substeps * len(c))])
-        return Scheme(square, np.asarray(self.method.tableau.b[: len(c)]), np.asarray(c), self.substeps, False, weights)
+        return Scheme(square, np.asarray(self.method.tableau.b[: len(c)]), np.asarray(c), self.substeps, False)
 
     @property
     def finer(self) -> MultipleShooting:
@@ -94,13 +91,8 @@ class Collocation:
 
     @property
     def scheme(self) -> Scheme:
-        """The tableau and weights that the solver's core uses.
-
-        The running cost is integrated with the weights of the tableau.
-        """
-        a, b, c = self.tableau.a, self.tableau.b, self.tableau.c
-        weights = np.concatenate([np.zeros(self.substeps + 1), np.tile(b / self.substeps, self.substeps)])
-        return Scheme(a, b, c, self.substeps, True, weights)
+        """The tableau that the solver's core uses."""
+        return Scheme(self.tableau.a, self.tableau.b, self.tableau.c, self.substeps, True)
 
     @property
     def finer(self) -> Collocation:
@@ -137,16 +129,3 @@ def transcription_of(transcription: Any, method: Any, substeps: Any) -> Multiple
             "method and substeps belong to the transcription: leave them out if you pass transcription="
         )
     return transcription
-
-
-def _simpson(substeps: int) -> Array:
-    """Weights of equidistant points of a unit interval: Simpson's rule, or the trapezoidal rule for an odd number of
-    substeps.
-    """
-    weights = np.ones(substeps + 1)
-    if substeps % 2:
-        weights[1:-1] = 2.0
-    else:
-        weights[1:-1:2] = 4.0
-        weights[2:-1:2] = 2.0
-    return weights / weights.sum()
