@@ -74,9 +74,8 @@ class ErrorStateKalman(Filter):
         return Prediction(x, symmetric(transition @ symmetric(P) @ transition.T + Q), transition)
 
     def corrected(self, name: str, point: OperatingPoint, P: jax.Array, z: jax.Array, limit: float | None) -> Update:
-        measured = self.model.measurements[name].group
-        value, H, R = self.model.sensitivity(name, point)
-        return self.after(LinearMeasurement(point.x, measured.difference(value, z), H, R), P, limit)
+        update: Update = self.model.matrices(self.after, limit=limit)(self.model.residual(name, point, z), P)
+        return update
 
     def to_c(
         self,
@@ -92,8 +91,8 @@ class ErrorStateKalman(Filter):
         `name_predict` takes time, states, controls, parameters, P and the step size h, and returns the states and P
         after the step. `name_update_gps` takes the value of the measurement "gps", and returns states, P and the
         normalised innovation squared; beyond the gate states and P are unchanged. They compute `predict` and `update`
-        of this filter, allocate no memory and need only libm. Only the lower triangle of P is read. The filter needs
-        `noise=tx.estimation.Trapezoidal()`.
+        of this filter, allocate no memory and need only libm. Only the lower triangle of P is read. With `VanLoan()`
+        the prediction has a loop of at most 40 iterations; with `Trapezoidal()` it has none.
 
         Args:
             directory: where to; made if it is not there.
@@ -104,7 +103,7 @@ class ErrorStateKalman(Filter):
         Returns:
             The paths: `header`, `source`, `test`.
         Raises:
-            ModelError: a part has no scalar form, as the exponential of `VanLoan()`; two names become one in C.
+            ModelError: a part has no scalar form; two names become one in C.
             InputError: a name or type that C has not; the directory cannot be written to, or holds other files of
                 those names.
         """

@@ -25,8 +25,8 @@ class NoiseDiscretization(ABC):
     Raises: nothing.
     """
 
-    #: Whether it has no loop, so that a prediction is one kernel, and C.
-    in_scalars: ClassVar[bool] = True
+    #: The fractions of a step at which it reads the noise.
+    fractions: ClassVar[tuple[float, ...]]
 
     @abstractmethod
     def covariance(self, local: LocalNoise, transition: jax.Array, h: jax.Array) -> jax.Array:
@@ -46,7 +46,7 @@ class VanLoan(NoiseDiscretization):
     evaluation by doubling is that of Moler, Van Loan, Nineteen dubious ways, SIAM Review 45 (2003), method 3.
     """
 
-    in_scalars = False
+    fractions = (0.5,)
 
     def covariance(self, local: LocalNoise, transition: jax.Array, h: jax.Array) -> jax.Array:
         F, intensity = local(0.5)
@@ -64,6 +64,8 @@ class Trapezoidal(NoiseDiscretization):
 
     Source: Maybeck, Stochastic Models, Estimation, and Control, vol. 1 (1979), sec. 6.3.
     """
+
+    fractions = (0.0, 1.0)
 
     def covariance(self, local: LocalNoise, transition: jax.Array, h: jax.Array) -> jax.Array:
         (_, before), (_, after) = local(0.0), local(1.0)
@@ -131,8 +133,8 @@ def _doubled_jvp(primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
 
     def double(state: Any, k: jax.Array) -> tuple[Any, None]:
         # What is doubled once more than needed may be beyond all numbers, and a reverse pass multiplies it by zero.
-        doubled = _doubling(*(jnp.where(k < count, old, jnp.zeros_like(old)) for old in state))
-        return jax.tree.map(lambda new, old: jnp.where(k < count, new, old), doubled, state), None
+        safe = [jnp.where(k < count, old, jnp.zeros_like(old)) for old in state]
+        return jax.lax.cond(k < count, lambda: _doubling(*safe), lambda: state), None
 
     def scanned(change: jax.Array, Q: jax.Array) -> jax.Array:
         return jax.lax.scan(double, (change, Q), jnp.arange(_MOST_DOUBLINGS, dtype=count.dtype))[0][1]

@@ -40,8 +40,7 @@ class SquareRootKalman(ErrorStateKalman):
     def to_c(self, directory: str | Path, **options: Any) -> CFiles:
         """Raises ModelError: a QR factorisation has no scalar form. Use `ErrorStateKalman` for C code."""
         raise ModelError(
-            "to_c: the QR factorisation of SquareRootKalman has no scalar form.\n"
-            "  fix: ErrorStateKalman(..., noise=tx.estimation.Trapezoidal()).to_c(...)"
+            "to_c: the QR factorisation of SquareRootKalman has no scalar form.\n  fix: ErrorStateKalman(...).to_c(...)"
         )
 
     def factored(self, P: jax.Array) -> jax.Array:
