@@ -243,8 +243,8 @@ def test_loops_of_unknown_length(tmp_path: Path) -> None:
     for value in (-1.0, 2.0, 7.3, 60.0):
         ks = np.arange(max(np.ceil(value), 0.0))
         halvings = [max(np.ceil(np.log2(value * k)), 0.0) for k in ks[1:]]
-        (_, found) = library.call("dynamics_rates", [0.0, np.array(value), np.zeros(3)], [(), (3,)])
-        np.testing.assert_array_equal(found, [len(ks), sum(halvings), 0.0])
+        _, counts = library.call("dynamics_rates", [0.0, np.array(value), np.zeros(3)], [(), (3,)])
+        np.testing.assert_array_equal(counts, [len(ks), sum(halvings), 0.0])
 
 
 def test_what_has_no_scalars_is_named(tmp_path: Path) -> None:
