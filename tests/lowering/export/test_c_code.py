@@ -224,14 +224,15 @@ def test_names_that_become_one_are_refused(tmp_path: Path) -> None:
 
 @needs_compiler
 def test_loops_of_unknown_length(tmp_path: Path) -> None:
-    """One in another, with counts and with zeros that stay; beside loops of Python."""
+    """One in another, with counts, a table, and zeros that stay; beside loops of Python."""
+    squares = np.arange(300.0) ** 2
 
     def counted(v: jax.Array) -> jax.Array:
         def outer(state: Any) -> Any:
             k, total, still = state
             halve = lambda s: (s[0] + 1, 0.5 * s[1])  # noqa: E731
             halvings, _ = jax.lax.while_loop(lambda s: s[1] > 1.0, halve, (0, v * k))
-            return k + 1.0, total + halvings, still @ still
+            return k + jnp.asarray(squares)[k.astype(int)] + 1.0, total + halvings, still @ still
 
         k, total, still = jax.lax.while_loop(lambda s: s[0] < v, outer, (0.0 * v, 0, jnp.zeros((2, 2))))
         return jnp.stack([k, total.astype(k.dtype), still.sum()])
@@ -241,10 +242,12 @@ def test_loops_of_unknown_length(tmp_path: Path) -> None:
     files = dynamics.to_c(tmp_path, jacobian=(), points=[(0.0, {"v": 7.3, "y": np.zeros(3)})])
     library = Library(files.source)
     for value in (-1.0, 2.0, 7.3, 60.0):
-        ks = np.arange(max(np.ceil(value), 0.0))
-        halvings = [max(np.ceil(np.log2(value * k)), 0.0) for k in ks[1:]]
+        ks = [0.0]
+        while ks[-1] < value:
+            ks.append(ks[-1] + ks[-1] ** 2 + 1.0)
+        halvings = [max(np.ceil(np.log2(value * k)), 0.0) for k in ks[1:-1]]
         _, counts = library.call("dynamics_rates", [0.0, np.array(value), np.zeros(3)], [(), (3,)])
-        np.testing.assert_array_equal(counts, [len(ks), sum(halvings), 0.0])
+        np.testing.assert_array_equal(counts, [ks[-1], sum(halvings), 0.0])
 
 
 def test_what_has_no_scalars_is_named(tmp_path: Path) -> None:

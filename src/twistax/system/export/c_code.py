@@ -107,8 +107,9 @@ class CCode:
 
     def source(self) -> str:
         """The text of the source file."""
+        tables: dict[Table, None] = {}
         bodies = [
-            f"{self._head(function)}\n{{\n{body(function, self.exporter.arguments, self.names)}}}\n"
+            f"{self._head(function)}\n{{\n{body(function, self.exporter.arguments, self.names, tables)}}}\n"
             for function in self.functions
         ]
         bodies += [loop.text for loop in self._loops()]
@@ -116,13 +117,10 @@ class CCode:
             f'{mark()}. The call convention stands in {self.name}.h. */\n#include "{self.name}.h"\n\n'
             "#include <math.h>\n#include <stdbool.h>\n#include <stdint.h>\n#include <string.h>\n",
             "".join(f"{head} = {{{values}}};\n" for head, values in self._defaults().items()),
-            *(numbers(table.name, table.numbers(self.real.dtype), self.real) for table in self._tables()),
+            *(numbers(table.name, table.numbers(self.real.dtype), self.real) for table in tables),
             *bodies,
         ]
         return "\n".join(part for part in parts if part)
-
-    def _tables(self) -> list[Table]:
-        return list(dict.fromkeys(table for function in self.functions for table in function.program.tables))
 
     def _loops(self) -> list[StepLoop]:
         return [StepLoop(self, function) for function in self.functions if function.name == "step"]
@@ -218,10 +216,15 @@ class StepLoop:
 
 
 class _Lines:
-    """The lines of a function: values have numbers, in the order in which they are computed."""
+    """The lines of a function: values have numbers, in the order in which they are computed.
 
-    def __init__(self) -> None:
+    Args:
+        tables: to which those that it reads are added.
+    """
+
+    def __init__(self, tables: dict[Table, None]) -> None:
         self.lines: list[str] = []
+        self._tables = tables
         self._values = self._loops = 0
 
     def computed(self, program: ScalarProgram, entry: Callable[[int, int], str]) -> dict[int, str]:
@@ -231,6 +234,7 @@ class _Lines:
             ModelError: a type that C has not, or has no such operation of.
         """
         g = program.graph
+        self._tables.update(dict.fromkeys(program.tables))
 
         def operation(operation: Operation, node: int, *values: str) -> str:
             result_type, argument_type = c_type(g.dtypes[node]), c_type(g.dtypes[g.arguments(node)[-1]])
@@ -275,14 +279,21 @@ class _Lines:
         return dict(zip(flat(*call.results), entries, strict=True))
 
 
-def body(function: ExportedFunction, arguments: Sequence[Port], names: Mapping[Port, str]) -> str:
+def body(
+    function: ExportedFunction,
+    arguments: Sequence[Port],
+    names: Mapping[Port, str],
+    tables: dict[Table, None] | None = None,
+) -> str:
     """The lines of a function.
 
+    Args:
+        tables: to which those that it reads are added.
     Raises:
         ModelError: a type that C has not, or has no such operation of.
     """
     program, g, every = function.program, function.program.graph, [*arguments, *function.extra]
-    lines = _Lines()
+    lines = _Lines({} if tables is None else tables)
     used: set[int] = set()
 
     def entry(argument: int, place: int) -> str:
