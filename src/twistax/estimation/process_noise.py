@@ -26,7 +26,7 @@ class NoiseDiscretization(ABC):
     """
 
     #: The fractions of a step at which it reads the noise.
-    fractions: ClassVar[tuple[float, ...]]
+    fractions: ClassVar[tuple[float, ...]] = (0.0, 0.5, 1.0)
 
     @abstractmethod
     def covariance(self, local: LocalNoise, transition: jax.Array, h: jax.Array) -> jax.Array:
