@@ -58,7 +58,7 @@ class Trapezoidal(NoiseDiscretization):
     """$Q = h / 2 (Phi G_0 W_0 G_0^T Phi^T + G_1 W_1 G_1^T)$, the trapezoidal rule of the same integral.
 
     Its error is proportional to the third power of h in s. It needs a few sums in place of a matrix exponential, so
-    filters in C use it.
+    its code in C is short and has no loop.
 
     Raises: nothing.
 
