@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from ..jax_inside import ClosedJaxpr, all_equations, jaxpr_as_fun, of_one_device, weakly_kept
 from .array_primitive import ArrayProgram, KernelOfArrays, Kernels
 from .backends import Backend
-from .jax_primitive import call_program
+from .jax_primitive import Differentiable, call_program
 from .parts.inlining import unrolled
 from .parts.part import Reason
 from .parts.segments import Segmented, emit_segments
@@ -47,7 +47,7 @@ class KernelFunction(Generic[R]):
 
     def __init__(self, function: Callable[..., R], backend: Backend, *, of_matrices: bool = False) -> None:
         self._function, self._backend, self._of_matrices = function, backend, of_matrices
-        self._programs: dict[Any, tuple[ArrayProgram, Any]] = {}
+        self._programs: dict[Any, tuple[Differentiable, Any]] = {}
 
     def __call__(self, *arguments: Any) -> R:
         if self._backend.runner is None:
@@ -61,7 +61,7 @@ class KernelFunction(Generic[R]):
         result: R = jax.tree.unflatten(form, call_program(program, *leaves))
         return result
 
-    def _traced(self, structure: Any, leaves: list[jax.Array]) -> tuple[ArrayProgram, Any]:
+    def _traced(self, structure: Any, leaves: list[jax.Array]) -> tuple[Differentiable, Any]:
         forms: list[Any] = []
 
         def flat(*leaves: jax.Array) -> list[jax.Array]:

@@ -225,14 +225,15 @@ def test_names_that_become_one_are_refused(tmp_path: Path) -> None:
 @needs_compiler
 def test_loops_of_unknown_length(tmp_path: Path) -> None:
     """One in another, with counts, a table, and zeros that stay; beside loops of Python."""
-    squares = np.arange(300.0) ** 2
+    s, knots = tx.State("s"), np.arange(300.0)
+    square = tx.lower(tx.Linterp(s, knots, knots**2))
 
     def counted(v: jax.Array) -> jax.Array:
         def outer(state: Any) -> Any:
             k, total, still = state
             halve = lambda s: (s[0] + 1, 0.5 * s[1])  # noqa: E731
             halvings, _ = jax.lax.while_loop(lambda s: s[1] > 1.0, halve, (0, v * k))
-            return k + jnp.asarray(squares)[k.astype(int)] + 1.0, total + halvings, still @ still
+            return k + square(0.0, {"s": k}) + 1.0, total + halvings, still @ still
 
         k, total, still = jax.lax.while_loop(lambda s: s[0] < v, outer, (0.0 * v, 0, jnp.zeros((2, 2))))
         return jnp.stack([k, total.astype(k.dtype), still.sum()])

@@ -69,15 +69,10 @@ class ShootingSteps:
     def __init__(self, segments: Segments) -> None:
         self.segments, self.group = segments, segments.model.group
         backend = segments.model.dynamics.backend
-        self._gap, self._start_residual, self._difference, self._retracted = (
-            KernelFunction(function, backend)
-            for function in (
-                functools.partial(gap_and_slopes, self.group),
-                functools.partial(_start_residual, self.group),
-                self.group.difference,
-                self.group.retract,
-            )
-        )
+        self._gap = KernelFunction(functools.partial(gap_and_slopes, self.group), backend)
+        self._start_residual = KernelFunction(functools.partial(_start_residual, self.group), backend)
+        self._retracted = KernelFunction[Arrays](self.group.retract, backend)
+        self._difference = KernelFunction[jax.Array](self.group.difference, backend)
 
     def linearized(self, unknowns: SegmentUnknowns, data: SegmentedData) -> LinearizedSegment:
         """All segments about their starts and the parameters, (experiments, segments, ...)."""

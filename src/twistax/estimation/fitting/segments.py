@@ -78,7 +78,8 @@ class Segments:
         self.kalman, self.model, self.free, self.losses = kalman, kalman.model, free, losses
         backend, group = self.model.dynamics.backend, self.model.group
         self._row = KernelFunction(self._moved, backend)
-        self._retracted, self._difference = (KernelFunction(f, backend) for f in (group.retract, group.difference))
+        self._retracted = KernelFunction[Arrays](group.retract, backend)
+        self._difference = KernelFunction[jax.Array](group.difference, backend)
         self.varying = {name: self._varies(name) for name in self.model.measurements}
 
     def _varies(self, name: str) -> bool:

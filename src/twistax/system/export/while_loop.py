@@ -50,10 +50,14 @@ class WhileLoop:
         (eqn,), p = call.jaxpr.jaxpr.eqns, call.jaxpr.jaxpr.eqns[0].params
         known = dict(zip(call.jaxpr.jaxpr.invars, call.arguments, strict=True))
         known |= {v: g.array(c) for v, c in zip(call.jaxpr.jaxpr.constvars, call.jaxpr.consts, strict=True)}
-        every = [g.array(np.asarray(v.val, v.aval.dtype)) if isinstance(v, Literal) else known[v] for v in eqn.invars]
+        avals: list[Any] = [v.aval for v in eqn.invars]
+        every = [
+            g.array(np.asarray(v.val, aval.dtype)) if isinstance(v, Literal) else known[v]
+            for v, aval in zip(eqn.invars, avals, strict=True)
+        ]
         asking, count = p["cond_nconsts"], p["cond_nconsts"] + p["body_nconsts"]
         start, fixed = every[count:], (every[:asking], every[asking:count])
-        types = [np.dtype(v.aval.dtype) for v in eqn.invars[count:]]
+        types = [np.dtype(aval.dtype) for aval in avals[count:]]
         parts = [_program(closed(p[name]), g.checked, limits) for name in ("cond_jaxpr", "body_jaxpr")]
         numbers = _numbers(g, start)
         while True:
