@@ -51,10 +51,11 @@ def called(function: Any, last: Any, sizes: list[tuple[int, ...]]) -> list[np.nd
 
 
 @needs_compiler
-@pytest.mark.parametrize("options", [{}, {"invariance": Invariance.RIGHT, "gate": 0.99}])
+@pytest.mark.parametrize("options", [{}, {"invariance": Invariance.RIGHT, "gate": 0.99, "noise": Trapezoidal()}])
 def test_the_functions_are_predict_and_update(options: dict[str, Any], tmp_path: Path) -> None:
+    """The prediction by `VanLoan()` has a loop."""
     kind = InvariantKalman if options else ErrorStateKalman
-    kalman = kind(SATELLITE, MEASUREMENTS, noise=Trapezoidal(), **options)
+    kalman = kind(SATELLITE, MEASUREMENTS, **options)
     files = kalman.to_c(tmp_path)
     run("gcc", *STRICT, files.source, files.test, "-lm", "-o", tmp_path / "test")
     assert "all agree" in run(tmp_path / "test")
@@ -62,8 +63,12 @@ def test_the_functions_are_predict_and_update(options: dict[str, Any], tmp_path:
     compiled, states = library(files, tmp_path), [(3, 3), (3,), (6, 6)]
     prediction = kalman.predict(0.0, START, P0, 0.2, {"gyro": RATE})
     expected = prediction.x["q"], prediction.x["b"], prediction.P
+    assert ("for (;;)" in files.source.read_text()) is not bool(options)
     for one, other in zip(called(compiled.kalman_predict, 0.2, states), expected):
         np.testing.assert_allclose(one, other, atol=1e-14)
+    for h in (1e-3, 50.0):  # of no doublings, and of many
+        prediction = kalman.predict(0.0, START, P0, h, {"gyro": RATE})
+        np.testing.assert_allclose(called(compiled.kalman_predict, h, states)[2], prediction.P, rtol=1e-12, atol=1e-12)
     near, far = FIELD @ START["q"] + 0.05, 5.0 * FIELD
     for z in (near, far):
         update = kalman.update("a field", 0.0, START, P0, z, {"gyro": RATE})
@@ -95,7 +100,6 @@ def test_the_trapezoidal_rule_tends_to_the_integral() -> None:
 @pytest.mark.parametrize(
     ("kalman", "message"),
     [
-        (lambda: ErrorStateKalman(SATELLITE, []), "no scalar form.\n  fix: use ErrorStateKalman"),
         (lambda: SquareRootKalman(SATELLITE, []), "QR"),
         (
             lambda: ErrorStateKalman(

@@ -170,12 +170,22 @@ def test_robust_losses_keep_outliers_from_the_estimate() -> None:
     [
         ({"angel": HuberLoss()}, "the measurements are 'angle'"),
         ({"angle": HuberLoss()}, "no losses with noise in the rates"),
+        ({"of size": HuberLoss()}, "known covariance of 'of size', which has a loss, but 'size' is free"),
+        ({"noisy": HuberLoss()}, "known covariance of 'noisy', which has a loss, but 'size' is free"),
     ],
 )
 def test_losses_that_do_not_fit_are_refused(losses: Any, message: str) -> None:
-    noisy = tx.compile(tx.System(rates={q: LENGTH * w, w: tx.Noise("push", density=0.1)}))
+    size = tx.Parameter("size", value=0.1)
+    push = tx.Noise("push", density=0.1) if "rates" in message else 0.0
+    dynamics = tx.compile(tx.System(rates={q: LENGTH * w, w: push - q}))
+    sensors = [
+        ANGLE,
+        tx.Measurement("of size", q, covariance=size**2),
+        tx.Measurement("noisy", q + tx.Noise("n", density=size), period=0.1),
+    ]
     with pytest.raises(tx.ModelError, match=message):
-        MaximumLikelihood(noisy, [ANGLE], [LENGTH], losses=losses)
+        MaximumLikelihood(dynamics, sensors, [LENGTH, size], losses=losses)
+    MaximumLikelihood(dynamics, sensors, [LENGTH, size])
 
 
 # ---- bounds, priors, noise in the rates, groups ----------------------------------------------------------------------
@@ -208,7 +218,7 @@ def test_a_bound_is_kept_and_named() -> None:
 
 
 def test_noise_in_the_rates_makes_it_the_likelihood_of_innovations() -> None:
-    """A leaky integrator: its rate, the density and the covariance of the measurement, by the exact likelihood."""
+    """A leaky integrator in two experiments: rate, density and covariance of the measurement, by exact likelihood."""
     x = tx.State("x")
     leak, density, R = (tx.Parameter(name) for name in ("leak", "density", "R"))
     leaky = tx.compile(tx.System(rates={x: -leak * x + tx.Noise("n", density=density)}))
@@ -217,14 +227,16 @@ def test_noise_in_the_rates_makes_it_the_likelihood_of_innovations() -> None:
     for _ in range(300):
         values.append(state + 0.2 * rng.normal())
         state = np.exp(-h) * state + np.sqrt(0.5 * (1.0 - np.exp(-2.0 * h))) * rng.normal()
+    records = np.reshape(values, (2, 150))
 
     def cost(p: np.ndarray) -> float:
         """Of leak, density and R."""
-        a, b, S, m, P = p[0], p[1], p[2], 1.0, 4.0
-        total = 0.0
-        for k, value in enumerate(values):
-            if k:
+        (a, b, S), total = p, 0.0
+        for k, value in enumerate(records.flat):
+            if k % 150:
                 m, P = np.exp(-a * h) * m, np.exp(-2.0 * a * h) * P + b**2 * (1.0 - np.exp(-2.0 * a * h)) / (2.0 * a)
+            else:
+                m, P = 1.0, 4.0
             spread = P + S
             total += 0.5 * ((value - m) ** 2 / spread + np.log(2.0 * np.pi * spread))
             m, P = m + P / spread * (value - m), P * S / spread
@@ -235,7 +247,7 @@ def test_noise_in_the_rates_makes_it_the_likelihood_of_innovations() -> None:
     )
     fit = tx.fit(
         leaky,
-        Experiment({"y": (h * np.arange(300), np.array(values))}, {"x": 1.0}, P0=4.0),
+        [Experiment({"y": (h * np.arange(150), record)}, {"x": 1.0}, P0=4.0) for record in records],
         {leak: (0.01, 10.0), density: (0.01, 10.0), R: (1e-4, 1.0)},
         measurements=[sensor],
         params={"leak": 0.3, "density": 0.3, "R": 0.3},
@@ -245,6 +257,25 @@ def test_noise_in_the_rates_makes_it_the_likelihood_of_innovations() -> None:
     np.testing.assert_allclose(found, best.x, rtol=2e-4)
     np.testing.assert_allclose(fit.cost, best.fun, atol=1e-6)
     assert fit.result == "successful"
+
+
+@pytest.mark.slow
+def test_a_fit_with_a_filter_is_made_of_kernels() -> None:
+    """Of a pose and a twist, where the derivative of a whole step of the filter is too large for a kernel."""
+    X, V, M = tx.State("X", group=tx.SE3), tx.State("V", shape=(6,)), np.diag([2.0, 2.0, 2.0, 1.0, 2.0, 3.0])
+    drag, density = tx.Parameter("drag", shape=(6,)), tx.Parameter("density")
+    force = -tx.lie.AdjointDual(V, M @ V) - drag * V
+    push = tx.Noise("push", shape=(6,), density=density)
+    body = tx.compile(tx.System(rates={X: V, V: tx.linalg.Solve(M, force) + push}))
+    likelihood = MaximumLikelihood(body, [tx.Measurement("pose", X, covariance=1e-4)], [drag, density])
+    ts, start = 0.1 * np.arange(1, 6), {"X": np.eye(4), "V": np.zeros(6)}
+
+    def cost(poses: jax.Array) -> jax.Array:
+        experiment = Experiment({"pose": (ts, poses)}, start, P0=1.0, t0=0.0)
+        return likelihood.run(experiment, {"drag": np.ones(6), "density": 1.0}).cost
+
+    program = jax.jit(cost).lower(jnp.broadcast_to(jnp.eye(4), (5, 4, 4))).as_text()
+    assert program.count("\n") < 4000  # 2,544; with a step as one function 25,620
 
 
 @pytest.mark.slow

@@ -77,6 +77,17 @@ def test_repeated_riccati_steps_are_one_kernel() -> None:
         np.testing.assert_allclose(one, other, rtol=1e-10, atol=1e-10)
 
 
+def test_a_state_that_adds_to_itself_is_computed_once() -> None:
+    """Of 169 entries, which is no whole number of vectors: the last one reaches back."""
+
+    def grown(x: jax.Array) -> jax.Array:
+        return jax.lax.scan(lambda x, _: (x + 0.01 * x @ x, None), x, None, length=100)[0]
+
+    x = jnp.asarray(0.1 * np.random.default_rng(0).normal(size=(13, 13)))
+    assert tx.fast(grown).explain(x).startswith("scan: native: loops over arrays")
+    np.testing.assert_allclose(tx.fast(grown)(x), grown(x), rtol=1e-12, atol=1e-13)
+
+
 def test_a_long_chain_is_scalars_although_its_placements_are_a_large_array() -> None:
     q = jnp.asarray(RANDOM.normal(size=10))
     assert tx.fast(placements).explain(q).startswith("native: ")

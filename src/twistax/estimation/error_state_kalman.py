@@ -74,9 +74,8 @@ class ErrorStateKalman(Filter):
         return Prediction(x, symmetric(transition @ symmetric(P) @ transition.T + Q), transition)
 
     def corrected(self, name: str, point: OperatingPoint, P: jax.Array, z: jax.Array, limit: float | None) -> Update:
-        measured = self.model.measurements[name].group
-        value, H, R = self.model.sensitivity(name, point)
-        return self.after(LinearMeasurement(point.x, measured.difference(value, z), H, R), P, limit)
+        update: Update = self.model.matrices(self.after, limit=limit)(self.model.residual(name, point, z), P)
+        return update
 
     def to_c(
         self,
@@ -91,8 +90,8 @@ class ErrorStateKalman(Filter):
         `name_predict` takes time, states, controls, parameters, P and the step size h, and returns the states and P
         after the step. `name_update_gps` takes the value of the measurement "gps", and returns states, P and the
         normalised innovation squared; if that is beyond the gate, states and P are unchanged. They compute `predict`
-        and `update` of this filter, allocate no memory and need only libm. Only the lower triangle of P is read. The
-        filter needs `noise=tx.estimation.Trapezoidal()`.
+        and `update` of this filter, allocate no memory and need only libm. Only the lower triangle of P is read. With
+        `VanLoan()` the prediction has a loop of at most 40 iterations; with `Trapezoidal()` it has none.
 
         Args:
             directory: the folder of the files, which is created if missing.
@@ -103,8 +102,7 @@ class ErrorStateKalman(Filter):
         Returns:
             The paths `header`, `source` and `test`.
         Raises:
-            ModelError: a part that has no scalar form, such as the exponential of `VanLoan()`; two names that become
-                the same in C.
+            ModelError: a part that has no scalar form; two names that become the same in C.
             InputError: a name that is not a C identifier, or another dtype; a directory that is not writable, or that
                 contains other files of these names.
         """

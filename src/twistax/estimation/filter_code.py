@@ -24,14 +24,9 @@ from .stochastic_model import OperatingPoint, StochasticModel
 def write_filter(kalman: Filter, directory: str | Path, *, name: str, dtype: Any, tolerance: float | None) -> CFiles:
     """Implements `ErrorStateKalman.to_c`, which documents the arguments."""
     model = kalman.model
-    if not model.noise.in_scalars:
-        raise ModelError(
-            f"to_c: the matrix exponential of {model.noise} has no scalar form.\n"
-            f"  fix: {type(kalman).__name__}(..., noise=tx.estimation.Trapezoidal())"
-        )
     # As arrays all through: kernels have no form in C.
     in_arrays = kalman.in_arrays
-    exporter = Exporter(in_arrays.model.noisy.functions, np.dtype(dtype), without=model.noise_names)
+    exporter = Exporter(in_arrays.model.noisy.functions, np.dtype(dtype), without=model.noise_names, loops=True)
     functions = [_prediction(in_arrays, exporter)]
     for measurement in model.measurements:
         functions.append(_update(in_arrays, exporter, measurement))

@@ -25,8 +25,8 @@ class NoiseDiscretization(ABC):
     Raises: nothing.
     """
 
-    #: Whether it contains no loop, so that a prediction can be compiled as one kernel and exported to C.
-    in_scalars: ClassVar[bool] = True
+    #: The fractions of a step at which it reads the noise.
+    fractions: ClassVar[tuple[float, ...]] = (0.0, 0.5, 1.0)
 
     @abstractmethod
     def covariance(self, local: LocalNoise, transition: jax.Array, h: jax.Array) -> jax.Array:
@@ -47,7 +47,7 @@ class VanLoan(NoiseDiscretization):
     evaluation by doubling is that of Moler, Van Loan, Nineteen dubious ways, SIAM Review 45 (2003), method 3.
     """
 
-    in_scalars = False
+    fractions = (0.5,)
 
     def covariance(self, local: LocalNoise, transition: jax.Array, h: jax.Array) -> jax.Array:
         F, intensity = local(0.5)
@@ -58,12 +58,15 @@ class VanLoan(NoiseDiscretization):
 class Trapezoidal(NoiseDiscretization):
     """The covariance $Q = h / 2 (Phi G_0 W_0 G_0^T Phi^T + G_1 W_1 G_1^T)$, the trapezoidal rule for the same integral.
 
-    Its error is proportional to h^3. It needs a few sums in place of a matrix exponential, so filters in C use it.
+    Its error is proportional to h^3. It needs a few sums in place of a matrix exponential, so its code in C is short
+    and has no loop.
 
     Raises: nothing.
 
     Source: Maybeck, Stochastic Models, Estimation, and Control, vol. 1 (1979), sec. 6.3.
     """
+
+    fractions = (0.0, 1.0)
 
     def covariance(self, local: LocalNoise, transition: jax.Array, h: jax.Array) -> jax.Array:
         (_, before), (_, after) = local(0.0), local(1.0)
@@ -131,8 +134,8 @@ def _doubled_jvp(primals: Any, tangents: Any) -> tuple[jax.Array, jax.Array]:
 
     def double(state: Any, k: jax.Array) -> tuple[Any, None]:
         # What is doubled once more than needed may be beyond all numbers, and a reverse pass multiplies it by zero.
-        doubled = _doubling(*(jnp.where(k < count, old, jnp.zeros_like(old)) for old in state))
-        return jax.tree.map(lambda new, old: jnp.where(k < count, new, old), doubled, state), None
+        safe = [jnp.where(k < count, old, jnp.zeros_like(old)) for old in state]
+        return jax.lax.cond(k < count, lambda: _doubling(*safe), lambda: state), None
 
     def scanned(change: jax.Array, Q: jax.Array) -> jax.Array:
         return jax.lax.scan(double, (change, Q), jnp.arange(_MOST_DOUBLINGS, dtype=count.dtype))[0][1]

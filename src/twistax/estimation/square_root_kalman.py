@@ -41,7 +41,7 @@ class SquareRootKalman(ErrorStateKalman):
         """Raises ModelError, because a QR factorisation has no scalar form. Use `ErrorStateKalman` for C code."""
         raise ModelError(
             "to_c: the QR factorisation of SquareRootKalman has no scalar form.\n"
-            "  fix: use ErrorStateKalman(..., noise=tx.estimation.Trapezoidal()).to_c(...)"
+            "  fix: use ErrorStateKalman(...).to_c(...)"
         )
 
     def factored(self, P: jax.Array) -> jax.Array:

@@ -22,6 +22,7 @@ from ..system.dynamics import Arrays, Dynamics, compile, need_compiled
 from ..system.system import System
 from .measurement import Measurement
 from .process_noise import NoiseDiscretization, VanLoan
+from .update import LinearMeasurement
 
 
 class OperatingPoint(NamedTuple):
@@ -113,6 +114,14 @@ class StochasticModel:
             self._kernels[name, *fixed] = KernelFunction(method, self.dynamics.backend)
         return self._kernels[name, *fixed]
 
+    def matrices(self, function: Callable[..., Any], **fixed: Any) -> Any:
+        """A function of matrices as a kernel of its own, with these keyword arguments."""
+        key = function, *fixed.items()
+        if key not in self._kernels:
+            of_rest = functools.partial(function, **fixed)
+            self._kernels[key] = KernelFunction(of_rest, self.dynamics.backend, of_matrices=True)
+        return self._kernels[key]
+
     # ---- the state between measurements ------------------------------------------------------------------------------
 
     def step(self, point: OperatingPoint, h: jax.Array) -> tuple[Arrays, jax.Array, jax.Array]:
@@ -140,10 +149,13 @@ class StochasticModel:
         """The covariance (n, n) of the noise between a point and the state x1 h seconds later."""
         if not self.process:
             return jnp.zeros((self.dimension, self.dimension), point.t.dtype)
+        local = {f: self._kernel("local_noise", f)(point, x1, h) for f in self.noise.fractions}
+        covariance: jax.Array = self.matrices(self._discretized)(local, transition, h)
+        return covariance
 
-        return self.noise.covariance(
-            lambda fraction: self._kernel("local_noise", fraction)(point, x1, h), transition, h
-        )
+    def _discretized(self, local: dict[float, Any], transition: jax.Array, h: jax.Array) -> jax.Array:
+        """The covariance of the noise of a step, from F and $G W G^T$ at fractions of it."""
+        return self.noise.covariance(local.__getitem__, transition, h)
 
     def local_noise(
         self, fraction: float, point: OperatingPoint, x1: Arrays, h: jax.Array
@@ -175,6 +187,16 @@ class StochasticModel:
     def measured(self, name: str, point: OperatingPoint) -> jax.Array:
         """The value of a measurement without noise."""
         return self.outputs([name], point)[name]
+
+    def residual(self, name: str, point: OperatingPoint, z: jax.Array) -> LinearMeasurement:
+        """The residual of a value z, linearised."""
+        measured: LinearMeasurement = self._kernel("linearized_residual", name)(point, z)
+        return measured
+
+    def linearized_residual(self, name: str, point: OperatingPoint, z: jax.Array) -> LinearMeasurement:
+        """The residual of a value z with H and R."""
+        value, H, R = self.sensitivity(name, point)
+        return LinearMeasurement(point.x, self.measurements[name].group.difference(value, z), H, R)
 
     def sensitivity(self, name: str, point: OperatingPoint) -> Sensitivity:
         """The value of a measurement, its derivative with respect to the state and the covariance of its errors."""

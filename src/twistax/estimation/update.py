@@ -58,7 +58,8 @@ class LinearMeasurement(NamedTuple):
         used = jnp.ones((), bool) if limit is None else nis <= limit
         new_x = group.retract(self.x, d)
         information = self.H.T @ cho_solve((jnp.linalg.cholesky(self.R), True), self.H)
-        deviations = jnp.abs(jnp.diag(root))
+        # The diagonal by a mask: kernels of matrices have no gathers along two axes.
+        deviations = jnp.abs(jnp.sum(jnp.where(jnp.eye(len(root), dtype=bool), root, 0.0), axis=1))
         likelihood = -0.5 * (nis + d.dtype.type(self.residual.size) * jnp.log(2.0 * jnp.pi))
         likelihood = likelihood - jnp.sum(jnp.log(deviations))
         zero = jnp.zeros((), P.dtype)

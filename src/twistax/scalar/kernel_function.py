@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from ..jax_inside import ClosedJaxpr, all_equations, jaxpr_as_fun, of_one_device, weakly_kept
 from .array_primitive import ArrayProgram, KernelOfArrays, Kernels
 from .backends import Backend
-from .jax_primitive import call_program
+from .jax_primitive import Differentiable, call_program
 from .parts.inlining import unrolled
 from .parts.part import Reason
 from .parts.segments import Segmented, emit_segments
@@ -41,11 +41,13 @@ class KernelFunction(Generic[R]):
     Args:
         function: pure and traceable. It closes over no traced value.
         backend: what makes the kernels.
+        of_matrices: whether matrices are loops over their entries in its kernel, and not scalars. Such kernels and
+            their derivatives are short. `while` loops in it must end for all arguments.
     """
 
-    def __init__(self, function: Callable[..., R], backend: Backend) -> None:
-        self._function, self._backend = function, backend
-        self._programs: dict[Any, tuple[ArrayProgram, Any]] = {}
+    def __init__(self, function: Callable[..., R], backend: Backend, *, of_matrices: bool = False) -> None:
+        self._function, self._backend, self._of_matrices = function, backend, of_matrices
+        self._programs: dict[Any, tuple[Differentiable, Any]] = {}
 
     def __call__(self, *arguments: Any) -> R:
         if self._backend.runner is None:
@@ -59,7 +61,7 @@ class KernelFunction(Generic[R]):
         result: R = jax.tree.unflatten(form, call_program(program, *leaves))
         return result
 
-    def _traced(self, structure: Any, leaves: list[jax.Array]) -> tuple[ArrayProgram, Any]:
+    def _traced(self, structure: Any, leaves: list[jax.Array]) -> tuple[Differentiable, Any]:
         forms: list[Any] = []
 
         def flat(*leaves: jax.Array) -> list[jax.Array]:
@@ -67,8 +69,12 @@ class KernelFunction(Generic[R]):
             forms.append(form)
             return results
 
+        shapes = [jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) for leaf in leaves]
         with of_one_device():
-            closed = jax.make_jaxpr(flat)(*(jax.ShapeDtypeStruct(leaf.shape, leaf.dtype) for leaf in leaves))
+            closed = jax.make_jaxpr(flat)(*shapes)
+        if self._of_matrices:
+            program = self._backend.steps().of_matrices(jaxpr_as_fun(closed), shapes, True)
+            return program or ArrayProgram(closed), forms[-1]
         # Loops without a known end are kernels of their own, between those of the rest.
         if any(eqn.primitive.name == "while" for eqn in all_equations(closed.jaxpr)):
             return _Unrolled(closed, self._backend.of_any_size()), forms[-1]

@@ -63,6 +63,7 @@ class ScalarProgram:
         entry: Callable[[int, int], Value],
         number: Callable[[Any, Any], Value],
         apply: Callable[..., Value],
+        call: Callable[[OpaqueCall, dict[int, Value]], dict[int, Value]] | None = None,
     ) -> dict[int, Value]:
         """Each needed node in another language, arguments first.
 
@@ -70,13 +71,18 @@ class ScalarProgram:
             entry: of the number of an argument and the place of an entry.
             number: of a constant and its type.
             apply: of an operation, its node, and the values of its arguments.
+            call: of a call and all values before it, to the values of its results; left out for programs without calls.
         """
         g = self.graph
         values: dict[int, Value] = {}
         for i in self.live:
-            place, operation = g.input_of(i), g.operation(i)
+            if i in values:
+                continue
+            place, operation, called = g.input_of(i), g.operation(i), g.call_of(i)
             if place is not None:
                 values[i] = entry(*place)
+            elif called is not None and call is not None:
+                values |= call(called, values)
             elif operation is None:
                 values[i] = number(g.numbers[i], g.dtypes[i])
             else:

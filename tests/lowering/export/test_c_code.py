@@ -222,6 +222,35 @@ def test_names_that_become_one_are_refused(tmp_path: Path) -> None:
         tx.compile(tx.System(rates={x: y, y: x})).to_c(tmp_path)
 
 
+@needs_compiler
+def test_loops_of_unknown_length(tmp_path: Path) -> None:
+    """One in another, with counts, a table, and zeros that stay; beside loops of Python."""
+    s, knots = tx.State("s"), np.arange(300.0)
+    square = tx.lower(tx.Linterp(s, knots, knots**2))
+
+    def counted(v: jax.Array) -> jax.Array:
+        def outer(state: Any) -> Any:
+            k, total, still = state
+            halve = lambda s: (s[0] + 1, 0.5 * s[1])  # noqa: E731
+            halvings, _ = jax.lax.while_loop(lambda s: s[1] > 1.0, halve, (0, v * k))
+            return k + square(0.0, {"s": k}) + 1.0, total + halvings, still @ still
+
+        k, total, still = jax.lax.while_loop(lambda s: s[0] < v, outer, (0.0 * v, 0, jnp.zeros((2, 2))))
+        return jnp.stack([k, total.astype(k.dtype), still.sum()])
+
+    v, y = tx.State("v"), tx.State("y", shape=(3,))
+    dynamics = tx.compile(tx.System(rates={v: 0.0, y: tx.Function(counted, (3,))(v)}), backend=tx.JAX())
+    files = dynamics.to_c(tmp_path, jacobian=(), points=[(0.0, {"v": 7.3, "y": np.zeros(3)})])
+    library = Library(files.source)
+    for value in (-1.0, 2.0, 7.3, 60.0):
+        ks = [0.0]
+        while ks[-1] < value:
+            ks.append(ks[-1] + ks[-1] ** 2 + 1.0)
+        halvings = [max(np.ceil(np.log2(value * k)), 0.0) for k in ks[1:-1]]
+        _, counts = library.call("dynamics_rates", [0.0, np.array(value), np.zeros(3)], [(), (3,)])
+        np.testing.assert_array_equal(counts, [ks[-1], sum(halvings), 0.0])
+
+
 def test_what_has_no_scalars_is_named(tmp_path: Path) -> None:
     x, A = tx.State("x", shape=(13,)), tx.Parameter("A", value=np.eye(13))
     with pytest.raises(tx.ModelError, match=r"the rates call lu, triangular_solve,[\s\S]* up to 12 x 12"):

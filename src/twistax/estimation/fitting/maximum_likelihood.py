@@ -14,7 +14,7 @@ import numpy as np
 
 from ...checks import listed, real_array, reals, short, whole
 from ...errors import EstimationError, InputError, ModelError, ShapeError
-from ...expr import Leaf, Parameter
+from ...expr import Leaf, Parameter, leaves_of
 from ...jax_inside import is_traced
 from ...linear.discretize import Controls
 from ...linear.free_parameters import boxes_of, limits_of
@@ -31,6 +31,12 @@ from .multiple_shooting import Prior, ShootingSteps, scaled_eigenvalues, solved
 from .parameter_estimate import ParameterEstimate
 from .search import FitState, ShootingSearch
 from .segments import Segments
+
+
+class _KalmanInParts(ErrorStateKalman):
+    """The filter with several kernels in each step: the derivatives of parts are small enough to be kernels too."""
+
+    in_scalars = False
 
 
 class MaximumLikelihood:
@@ -66,7 +72,8 @@ class MaximumLikelihood:
         max_iterations: the largest number of steps.
     Raises:
         ModelError: the errors of `ErrorStateKalman`; free or priors with a parameter that is unknown or a constant of
-            the compiled system; no free parameter; losses of unknown measurements, or with noise in the rates.
+            the compiled system; no free parameter; losses of unknown measurements, of measurements whose covariance is
+            free, or with noise in the rates.
         ShapeError, InputError: limits or priors of the wrong shape, or priors that are not positive definite.
 
     Example: `MaximumLikelihood(dynamics, [angle], free=["length"]).run(Experiment({"angle": (ts, qs)}, x0))`.
@@ -90,7 +97,7 @@ class MaximumLikelihood:
         max_iterations: int = 200,
     ) -> None:
         need_compiled("fit", dynamics)
-        self.kalman = ErrorStateKalman(dynamics, measurements, method=method, max_step=max_step, noise=noise)
+        self.kalman = _KalmanInParts(dynamics, measurements, method=method, max_step=max_step, noise=noise)
         model = self.kalman.model
         if not model.measurements:
             raise ModelError("fit expects measurements=[tx.Measurement(...), ...], got none")
@@ -101,12 +108,7 @@ class MaximumLikelihood:
         self.free = {box.name: self.free[box.name] for box in self.boxes}
         places = Controls(self.boxes).slices
         self.size = sum(prod(box.shape) for box in self.boxes)
-        robust = checked_losses(losses, model.measurements)
-        if robust and model.process:
-            raise ModelError(
-                "fit expects no losses with noise in the rates: the filter follows outliers.\n"
-                "  fix: replace the outliers in the records by NaN"
-            )
+        robust = self._losses(losses)
         shooting = Segments(self.kalman, {box.name: (places[box.name], box.shape) for box in self.boxes}, robust)
         self.places, self.shooting = places, ShootingSteps(shooting)
         if segments is not None:
@@ -115,6 +117,27 @@ class MaximumLikelihood:
                 raise ModelError("fit expects segments=1 with noise in the rates")
         self.segments, self.max_iterations = segments, whole("max_iterations", max_iterations, 1, ModelError)
         self.prior = self._prior(priors or {})
+
+    def _losses(self, losses: Mapping[str, RobustLoss] | None) -> dict[str, RobustLoss]:
+        """The losses, checked."""
+        model = self.kalman.model
+        robust = checked_losses(losses, model.measurements)
+        if robust and model.process:
+            raise ModelError(
+                "fit expects no losses with noise in the rates: the filter follows outliers.\n"
+                "  fix: replace the outliers in the records by NaN"
+            )
+        for name in robust:
+            measurement = model.measurements[name]
+            errors = [measurement.covariance, *(noise.density for noise in measurement.noises)]
+            leaves = leaves_of(*(expr for expr in errors if expr is not None))
+            if unknown := [leaf.name for leaf in leaves if leaf.name in self.free]:
+                raise ModelError(
+                    f"fit expects a known covariance of {name!r}, which has a loss, but {unknown[0]!r} is free: with "
+                    "a loss the squares of outliers count less than the determinant of the covariance.\n"
+                    f"  fix: a value for {unknown[0]!r}, or no loss for {name!r}"
+                )
+        return robust
 
     def _prior(self, priors: Mapping[Any, Any]) -> tuple[np.ndarray, np.ndarray]:
         """The expected values and the information of priors."""

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from ...groups import Product
+from ...scalar.kernel_function import KernelFunction
 from ...system.dynamics import Arrays
 from .experiment import SegmentedData, StartEstimate
 from .segments import Likelihood, LinearizedSegment, Segments, gap_and_slopes
@@ -73,6 +75,11 @@ class ShootingSteps:
 
     def __init__(self, segments: Segments) -> None:
         self.segments, self.group = segments, segments.model.group
+        backend = segments.model.dynamics.backend
+        self._gap = KernelFunction(functools.partial(gap_and_slopes, self.group), backend)
+        self._start_residual = KernelFunction(functools.partial(_start_residual, self.group), backend)
+        self._retracted = KernelFunction[Arrays](self.group.retract, backend)
+        self._difference = KernelFunction[jax.Array](self.group.difference, backend)
 
     def linearized(self, unknowns: SegmentUnknowns, data: SegmentedData) -> LinearizedSegment:
         """All segments linearised about their initial states and the parameters, (experiments, segments, ...)."""
@@ -89,8 +96,8 @@ class ShootingSteps:
         """The negative log posterior density, and the weighted gaps."""
 
         def one(starts: Arrays, segments: LinearizedSegment, start: StartEstimate) -> Any:
-            gap = jax.vmap(lambda end, following: self.group.difference(following, end))
-            _, e = _start_residual(self.group, start, _first(starts))
+            gap = jax.vmap(lambda end, following: self._difference(following, end))
+            _, e = self._start_residual(start.x, _first(starts))
             return gap(segments.end, _following(starts, segments.end)), 0.5 * e @ start.information @ e
 
         gaps, of_start = jax.vmap(one)(unknowns.starts, segments, data.starts)
@@ -113,9 +120,9 @@ class ShootingSteps:
 
         def one(starts: Arrays, segments: LinearizedSegment, start: StartEstimate) -> Any:
             following = _following(starts, segments.end)
-            gaps = jax.vmap(lambda end, x: gap_and_slopes(self.group, end, x))(segments.end, following)
+            gaps = jax.vmap(self._gap)(segments.end, following)
             g, N, tangents = _eliminated(segments, (gaps[0] * closed, *gaps[1:]))
-            slope, e = _start_residual(self.group, start, _first(starts))
+            slope, e = self._start_residual(start.x, _first(starts))
             g = g.at[:n].add(slope.T @ start.information @ e)
             of_start = 0.5 * e @ start.information @ e, slope.T @ start.information @ slope
             return g, N, of_start, tangents, gaps
@@ -164,7 +171,7 @@ class ShootingSteps:
         ones = jnp.ones((len(first), 1), theta.dtype)
         change_of_all = jnp.concatenate([first, jnp.broadcast_to(change, (len(first), p)), ones], axis=1)
         d = jnp.einsum("rjnz,rz->rjn", problem.tangents, change_of_all)
-        starts = jax.vmap(jax.vmap(self.group.retract))(unknowns.starts, d)
+        starts = jax.vmap(jax.vmap(self._retracted))(unknowns.starts, d)
         both = jnp.concatenate([d, jnp.broadcast_to(change, (*d.shape[:2], p))], axis=2)
         size = jnp.sqrt(jnp.einsum("rjp,rjpq,rjq->", both, segments.information, both))
         multipliers = jnp.abs(jax.vmap(_multipliers)(segments, problem.gaps, both))
@@ -180,7 +187,7 @@ class ShootingSteps:
         n = self.group.dimension
         N, g = segment.information[:n, :n], segment.gradient[:n]
         d = -damped_solve(N, g, jnp.ones(n, bool), damping)
-        return self.group.retract(x, d), jnp.sqrt(d @ N @ d)
+        return self._retracted(x, d), jnp.sqrt(d @ N @ d)
 
 
 def solved(problem: Condensed, free: jax.Array, damping: jax.Array) -> jax.Array:
@@ -223,9 +230,9 @@ def _following(starts: Arrays, ends: Arrays) -> Arrays:
     return {name: jnp.concatenate([x[1:], ends[name][-1:]]) for name, x in starts.items()}
 
 
-def _start_residual(group: Product, start: StartEstimate, x: Arrays) -> tuple[jax.Array, jax.Array]:
+def _start_residual(group: Product, start: Arrays, x: Arrays) -> tuple[jax.Array, jax.Array]:
     """The derivative (n, n) by x of the difference (n,) of a first state from its estimate, and the difference."""
-    e = group.difference(start.x, x)
+    e = group.difference(start, x)
     return group.right_jacobian_inv(e), e
 
 

@@ -76,7 +76,10 @@ class Segments:
         losses: Mapping[str, RobustLoss],
     ) -> None:
         self.kalman, self.model, self.free, self.losses = kalman, kalman.model, free, losses
-        self._row = KernelFunction(self._moved, self.model.dynamics.backend)
+        backend, group = self.model.dynamics.backend, self.model.group
+        self._row = KernelFunction(self._moved, backend)
+        self._retracted = KernelFunction[Arrays](group.retract, backend)
+        self._difference = KernelFunction[jax.Array](group.difference, backend)
         self.varying = {name: self._varies(name) for name in self.model.measurements}
 
     def _varies(self, name: str) -> bool:
@@ -129,13 +132,13 @@ class Segments:
         self, x: Arrays, theta: jax.Array, rows: RecordRows, params: Arrays, P0: jax.Array | None = None
     ) -> LinearizedSegment:
         """A segment, with the derivatives of its likelihood."""
-        group, n = self.model.group, self.model.dimension
+        n = self.model.dimension
 
         def moved(z: jax.Array) -> Any:
-            end, sensed = self.simulated(group.retract(x, z[:n]), theta + z[n:], rows, params, P0)
+            end, sensed = self.simulated(self._retracted(x, z[:n]), theta + z[n:], rows, params, P0)
             fixed = jax.tree.map(jax.lax.stop_gradient, end)
             slopes = {name: one[:2] if self.varying[name] else one[:1] for name, one in sensed.items()}
-            return (group.difference(fixed, end), slopes), (end, sensed)
+            return (self._difference(fixed, end), slopes), (end, sensed)
 
         z = jnp.zeros(n + theta.size, theta.dtype)
         (slope, slopes), (end, sensed) = jax.jacfwd(moved, has_aux=True)(z)

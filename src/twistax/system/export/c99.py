@@ -49,7 +49,7 @@ def write_c(
 ) -> CFiles:
     """Implements `Dynamics.to_c`, which documents the arguments."""
     check_name(name)
-    exporter = Exporter(dynamics, _real(dtype).dtype, checked)
+    exporter = Exporter(dynamics, _real(dtype).dtype, checked, loops=True)
     functions = _functions(exporter, jacobian, step)
     return write_functions(exporter, functions, directory, name=name, points=points, tolerance=tolerance)
 

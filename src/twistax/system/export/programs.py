@@ -18,9 +18,10 @@ from ...scalar.program import ScalarProgram, called_names
 from ...scalar.reader import emitted_form, scalarize
 from ..functions import Functions
 from ..jacobian import blocks_in_arrays
+from .while_loop import is_while
 
 #: LU with pivots is unrolled up to the size that Cholesky is.
-_LIMITS = Limits(pivoted=12, table=256, equations=100_000)
+LIMITS = Limits(pivoted=12, table=256, equations=100_000)
 
 #: Of steps with which references are computed, in units of time.
 TEST_STEP = 2.0**-7
@@ -63,11 +64,18 @@ class Exporter:
 
     Arguments of all of them are the time, the states, the controls and the parameters, in the order of declaration.
     `checked` is as for `tx.XLA`: 0 x, 0 / x and x - x, which differ from zero if x is not finite, are not simplified.
-    Controls named in `without` are omitted.
+    Controls named in `without` are omitted. `loops` is whether the language has `while` loops.
     """
 
-    def __init__(self, dynamics: Functions, dtype: Any, checked: bool = False, without: Collection[str] = ()) -> None:
-        self.dynamics, self.dtype, self.checked = dynamics, np.dtype(dtype), checked
+    def __init__(
+        self,
+        dynamics: Functions,
+        dtype: Any,
+        checked: bool = False,
+        without: Collection[str] = (),
+        loops: bool = False,
+    ) -> None:
+        self.dynamics, self.dtype, self.checked, self.loops = dynamics, np.dtype(dtype), checked, loops
         controls = [control for control in dynamics.controls if control.name not in without]
         leaves = {"x": dynamics.states, "u": controls, "params": dynamics.parameters}
         ports = [Port(kind, leaf.name, leaf.shape) for kind, of_kind in leaves.items() for leaf in of_kind]
@@ -87,7 +95,9 @@ class Exporter:
         with jax.enable_x64(self.dtype == np.float64):
             closed = jax.make_jaxpr(arrays)(*(jax.ShapeDtypeStruct(p.shape, self.dtype) for p in self.arguments))
             program = scalarize(closed, checked=self.checked)
-            return exported(name, name.removesuffix("s"), list(self.dynamics.families[name]), program, arrays)
+            return exported(
+                name, name.removesuffix("s"), list(self.dynamics.families[name]), program, arrays, self.loops
+            )
 
     def jacobian(self, wrt: Sequence[str]) -> ExportedFunction:
         """The derivatives of the rates in the tangent space: a matrix (n, m) for each of "x", "u", "params" in wrt.
@@ -105,7 +115,7 @@ class Exporter:
             def arrays(*values: jax.Array) -> list[jax.Array]:
                 return list(blocks_in_arrays(rates, self.dynamics.group, self._places, wrt, values).values())
 
-            return exported("jacobian", "jacobian", list(derivatives.blocks), derivatives.program, arrays)
+            return exported("jacobian", "jacobian", list(derivatives.blocks), derivatives.program, arrays, self.loops)
 
     def step(self, advance: Callable[..., Mapping[str, jax.Array]]) -> ExportedFunction:
         """The states after one step of length h with constant controls.
@@ -139,7 +149,7 @@ class Exporter:
         with jax.enable_x64(self.dtype == np.float64):
             shaped = [jax.ShapeDtypeStruct(p.shape, self.dtype) for p in (*self.arguments, *extra)]
             program = scalarize(jax.make_jaxpr(arrays)(*shaped), checked=self.checked)
-            exported_function = exported(name, "", [port.name for port in results], program, arrays)
+            exported_function = exported(name, "", [port.name for port in results], program, arrays, self.loops)
         kept = tuple(port for port, nodes in zip(results, program.outputs, strict=True) if nodes.size)
         return dataclasses.replace(exported_function, results=kept, extra=tuple(extra), trial=tuple(extra.values()))
 
@@ -150,16 +160,17 @@ def exported(
     results: Sequence[str],
     program: ScalarProgram,
     arrays: Callable[..., list[jax.Array]],
+    loops: bool = False,
 ) -> ExportedFunction:
-    """A function with all calls inlined, without empty results."""
-    form = emitted_form(program, limits=_LIMITS)
-    if form.calls:
+    """A function with all calls inlined, without empty results; with `loops` also with `while` loops."""
+    form = emitted_form(program, limits=LIMITS)
+    if foreign := [call for call in form.calls if not (loops and is_while(call))]:
         first = "an explicit method for steps, or " if name == "step" else ""
         raise ModelError(
-            f"the {name} call {called_names(form.calls)}, without a scalar form.\n  fix: {first}"
-            "make the parameters that it reads constants by bake=, write it with other nodes, or leave "
-            "this function out; linear solves are unrolled up to {_LIMITS.pivoted} x {_LIMITS.pivoted}, "
-            "tables up to {_LIMITS.table} entries"
+            f"the {name} call {called_names(foreign)}, without a scalar form.\n  fix: {first}"
+            "make the parameters that it reads constants by bake=, write it with other nodes, or leave this function "
+            f"out; linear solves are unrolled up to {LIMITS.pivoted} x {LIMITS.pivoted}, tables up to {LIMITS.table} "
+            "entries"
         )
     kept = [k for k, nodes in enumerate(form.outputs) if nodes.size]
     ports = tuple(Port(kind, results[k], form.outputs[k].shape) for k in kept)

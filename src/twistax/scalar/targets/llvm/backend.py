@@ -205,8 +205,10 @@ class KernelRunner:
                 return None
             operations = array_operations(closed.jaxpr).total()
             made = functools.lru_cache(lambda single: self.built(ArrayBody, form, (), single, "cpu"))
+            # Members side by side take all branches, and no loop of unknown length.
+            one_by_one = terminates and not {"while", "cond"}.isdisjoint(form.counts())
             return lambda rows, platform: (
-                made(rows == 1) if platform == "cpu" and operations * rows >= self.least else None
+                made(rows == 1 or one_by_one) if platform == "cpu" and operations * rows >= self.least else None
             )
 
         program = KernelOfArrays(closed, kernels, alone=True)

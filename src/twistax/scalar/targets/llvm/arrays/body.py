@@ -117,7 +117,7 @@ class ArrayBody(KernelBody):
         }
         needed = {k for k, v in enumerate(jaxpr.invars) if v in read}
         super().__init__(form, lanes, arguments, results, needed)
-        self._by_jax: Any = None
+        self._by_jax = dict[int, Any]()
 
     def body(self, code: Code, rows: Mapping[str, Rows]) -> None:
         writer, start = _Writer(code, self.program), len(code.lines)
@@ -149,10 +149,11 @@ class ArrayBody(KernelBody):
         """All results by JAX."""
         count = len(arguments[0]) if arguments else 1
         shaped = [rounded(a).reshape(count, *array.shape) for a, array in zip(arguments, self.arguments, strict=True)]
-        if self._by_jax is None:
+        if count not in self._by_jax:
             run = jax.vmap(jaxpr_as_fun(self.program.program), axis_size=count)
-            self._by_jax = jax.jit(run, compiler_options=quick_compile(0), keep_unused=True).lower(*shaped).compile()
-        return [np.asarray(r).reshape(count, -1) for r in self._by_jax(*shaped)]
+            traced = jax.jit(run, compiler_options=quick_compile(0), keep_unused=True).lower(*shaped)
+            self._by_jax[count] = traced.compile()
+        return [np.asarray(r).reshape(count, -1) for r in self._by_jax[count](*shaped)]
 
 
 class _Writer(MatrixWriter):

@@ -82,6 +82,10 @@ class EntryWriter(Loops):
         if not all(target.shape):
             return
         width = self._width(shape, strides)
+        if target.root and any(leaf.root == target.root for leaf in leaves):
+            # The last block of an axis reaches back: entries that read themselves must not be computed twice.
+            while width > 1 and shape[-1] % width:
+                width //= 2
 
         def entry(entries: list[str]) -> None:
             result = self._computed(program, leaves, entries[1:], [s[-1] if s else 0 for s in strides[1:]], width)
