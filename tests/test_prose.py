@@ -153,6 +153,14 @@ def test_no_public_docstring_and_no_message_has_a_refused_phrase(texts: dict[str
     assert [f"{place}: {hit[0]}" for place, text in texts.items() if (hit := refused.search(text))] == []
 
 
+def test_no_message_shows_a_placeholder() -> None:
+    """A string without its f shows the braces to the user."""
+    lost = re.compile(r"\{[a-z_]\w*(\.\w+|\[\w+\])*(![rs])?\}")
+    assert [
+        (path.name, text) for path in (ROOT / "src").rglob("*.py") for text in messages(path) if lost.search(text)
+    ] == []
+
+
 def test_no_page_for_new_users_writes_a_prime_for_a_rate_or_a_transpose() -> None:
     """$\\dot q$ and $A^T$, typeset; programs have `'` in text and code only."""
     prime = re.compile(r"(?<![\w'])[A-Za-z]{1,2}'(?=[\s(,.]) ?(?![a-z]{2})")

@@ -43,7 +43,7 @@ class Mesh(Shape):
             if corners.ndim != 2 or corners.shape[1] != 3 or not inside or faces.max() >= len(corners):
                 raise InputError(
                     "Mesh expects vertices (n, 3) and triangles (m, 3) of vertex indices, got shapes "
-                    "{corners.shape} and {faces.shape}"
+                    f"{corners.shape} and {faces.shape}"
                 )
 
     @functools.cached_property

@@ -70,7 +70,7 @@ class LayeredAtmosphere:
         if not min(self.temperatures) > 0.0 or self.lapses[-1] < 0.0:
             raise ModelError(
                 "LayeredAtmosphere expects temperatures above 0 K, and no decrease above the last base, "
-                "got {self.temperatures} K at the bases and a last lapse of {self.lapses[-1]} K/m"
+                f"got {self.temperatures} K at the bases and a last lapse of {self.lapses[-1]} K/m"
             )
 
     @property

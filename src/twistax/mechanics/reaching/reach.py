@@ -38,7 +38,7 @@ class ReachStatus(enum.IntEnum):
     hold.
     - `LIMIT`: the search from the best seed ended at joint limits; `at_limit` marks these joints.
     - `UNREACHABLE`: the search from the best seed ended away from joint limits. If `slope` is small, it ended at a
-      minimum of the distance; otherwise it ran out of iterations.
+      minimum of the distance; otherwise it reached the limit of iterations.
     """
 
     REACHED = 0
