@@ -26,8 +26,10 @@ from .solids import Rounded
 
 #: Of lengths that count as zero, relative to the size of the polytope; of sines squared of parallel edges.
 _SMALL, _PARALLEL = 1e-10, 1e-14
+#: By which triangles overlap, relative to their sides.
+_SEAM = 1e-13
 #: Stands for features whose nearest points lie beyond their ends, m2.
-_FAR = 1e12
+FAR = 1e12
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -180,15 +182,22 @@ def _to_edges(points: jax.Array, edges: jax.Array) -> jax.Array:
 
 def _to_faces(points: jax.Array, faces: jax.Array) -> jax.Array:
     """The squared distances of points (k, 3) to triangles (f, 3, 3) within which they project."""
+    corner = faces[:, 0]
+    n = jnp.cross(faces[:, 1] - corner, faces[:, 2] - corner)
+    points = jnp.broadcast_to(points[:, None], (len(points), *n.shape))
+    height = jnp.sum((points - corner[None]) * n[None], axis=2)
+    return jnp.ravel(jnp.where(within_triangles(points, faces), height**2 / jnp.sum(n**2, axis=1)[None], FAR))
+
+
+def within_triangles(points: jax.Array, faces: jax.Array) -> jax.Array:
+    """Whether points (..., f, 3) project into triangles (f, 3, 3), or by rounding beside them."""
     corner, u, v = faces[:, 0], faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0]
-    n = jnp.cross(u, v)
-    size, n = jnp.sum(n**2, axis=1)[None], n[None]
-    w = points[:, None] - corner[None]
-    s = jnp.sum(jnp.cross(w, jnp.broadcast_to(v[None], w.shape)) * n, axis=2) / size
-    t = jnp.sum(jnp.cross(jnp.broadcast_to(u[None], w.shape), w) * n, axis=2) / size
-    height = jnp.sum(w * n, axis=2)
-    within = (s >= 0.0) & (t >= 0.0) & (s + t <= 1.0)
-    return jnp.ravel(jnp.where(within, height**2 / size, _FAR))
+    n, corner, u, v = (jnp.broadcast_to(x, points.shape) for x in (jnp.cross(u, v), corner, u, v))
+    size, w = jnp.sum(n**2, axis=-1), points - corner
+    s = jnp.sum(jnp.cross(w, v) * n, axis=-1) / size
+    t = jnp.sum(jnp.cross(u, w) * n, axis=-1) / size
+    # Two triangles of one face leave no gap on the line between them.
+    return (s >= -_SEAM) & (t >= -_SEAM) & (s + t <= 1.0 + _SEAM)
 
 
 def _between(one: jax.Array, two: jax.Array) -> jax.Array:
@@ -202,7 +211,7 @@ def _between(one: jax.Array, two: jax.Array) -> jax.Array:
     s = jnp.sum(jnp.cross(w, jnp.broadcast_to(e[None], wide)) * n, axis=2) / safe
     t = jnp.sum(jnp.cross(w, jnp.broadcast_to(d[:, None], wide)) * n, axis=2) / safe
     within = skew & (s >= 0.0) & (s <= 1.0) & (t >= 0.0) & (t <= 1.0)
-    return jnp.ravel(jnp.where(within, jnp.sum(w * n, axis=2) ** 2 / safe, _FAR))
+    return jnp.ravel(jnp.where(within, jnp.sum(w * n, axis=2) ** 2 / safe, FAR))
 
 
 def _separation(a: Core, b: Core, Va: jax.Array, Vb: jax.Array, R: jax.Array, p: jax.Array) -> jax.Array:
@@ -214,7 +223,7 @@ def _separation(a: Core, b: Core, Va: jax.Array, Vb: jax.Array, R: jax.Array, p:
     if len(b.normals):
         normals = constant(b.normals) @ R.T
         gaps.append(jnp.min(normals @ Va.T, axis=1) - normals @ p - constant(b.offsets))
-    d, e = (constant(_directions(core.edges)) for core in (a, b))
+    d, e = (constant(directions(core.edges)) for core in (a, b))
     if len(d) and len(e):
         wide = (len(d), len(e), 3)
         n = jnp.cross(jnp.broadcast_to(d[:, None], wide), jnp.broadcast_to((e @ R.T)[None], wide)).reshape(-1, 3)
@@ -224,12 +233,12 @@ def _separation(a: Core, b: Core, Va: jax.Array, Vb: jax.Array, R: jax.Array, p:
         of_a, of_b = n @ Va.T, n @ Vb.T
         gap_of_b = jnp.min(of_b, axis=1) - jnp.max(of_a, axis=1)
         gap_of_a = jnp.min(of_a, axis=1) - jnp.max(of_b, axis=1)
-        gaps.append(jnp.where(skew, jnp.maximum(gap_of_b, gap_of_a), -_FAR))
+        gaps.append(jnp.where(skew, jnp.maximum(gap_of_b, gap_of_a), -FAR))
     every = jnp.concatenate(gaps)
     return every[jnp.argmax(every)]  # of equal gaps the slope of one, for their mean may be zero
 
 
-def _directions(edges: NDArray[np.float64]) -> NDArray[np.float64]:
+def directions(edges: NDArray[np.float64]) -> NDArray[np.float64]:
     """The unit vectors (k, 3) of edges, each direction once."""
     kept: list[Any] = []
     for start, end in edges:

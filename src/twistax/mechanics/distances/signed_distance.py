@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from collections.abc import Callable
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -31,9 +32,10 @@ from ...expr import Abs, Constant, Cross, Dot, Expr, Max, Min, Sqrt, Where
 from ...expr.fields import ExprLike
 from ...expr.functions.function import Function
 from ...expr.lie import Compose, Inverse
-from ...view import Box, Cylinder, Shape, Sphere
+from ...view import Cylinder, Shape, Sphere
 from ..arguments import pose
-from .cylinder import over_plane, prism_around, to_segment
+from .cylinder import cylinder_to_core, over_plane
+from .cylinder_pair import cylinder_to_cylinder
 from .distance_grid import DistanceGrid
 from .polytope import ConvexPolytope, Core, distance
 from .solids import HalfSpace, Rounded, rounded
@@ -54,16 +56,16 @@ def signed_distance(a: Solid, b: Solid, T_a: ExprLike | None = None, T_b: ExprLi
 
     For separate cores with half lengths h the distance is the minimum over corners and pairs of edges. If they overlap
     and one is a box, it is the maximum over the separating axes n of $|n . p| - sum h |n . a|$. The radii are
-    subtracted. For two capsules or balls the depth is at most the sum of the radii. The distance is continuous, and
-    smooth except where the nearest features change.
+    subtracted. For two capsules or balls the depth is at most the sum of the radii. The depth of a cylinder is the
+    length of the shortest translation that separates the solids. The distance is continuous, and smooth except where
+    the nearest features change.
 
-    Source: C. Ericson, Real-Time Collision Detection (2005), sections 4.4.1, 5.1.3 and 5.1.9.
+    Sources: C. Ericson, Real-Time Collision Detection (2005), sections 4.4.1, 5.1.3 and 5.1.9; of cylinders D. Eberly,
+    Distance from a Point to an Ellipse, an Ellipsoid, or a Hyperellipsoid, section 2 (2013).
 
     Args:
         a, b: `tx.view.Sphere`, `Capsule`, `Box` or `Cylinder`, `ConvexPolytope`, or one `HalfSpace`; a `Sphere` and a
-            `DistanceGrid`. Their `at` is in the frame of their bodies. A cylinder beside a box, a polytope or another
-            cylinder counts as a prism around it, at most 0.9 % of its radius larger; beside a capsule the depth is that
-            of the deepest point of the capsule's axis.
+            `DistanceGrid`. Their `at` is in the frame of their bodies.
         T_a, T_b: poses (4, 4) of the bodies in one frame, such as `arm.pose("hand")`; the identity by default.
     Raises:
         ModelError: another shape; two half-spaces; numbers that are not a pose.
@@ -97,11 +99,17 @@ class Pair:
             return b.value(-(T[:3, :3].T @ T[:3, 3])) - a.radius
         if isinstance(b, HalfSpace):
             return -Dot(T[:3, 2], T[:3, 3]) - self._reach(T[:3, 2])
-        if isinstance(a, Cylinder):
-            return to_segment(a, float(b.half[2]), T) - b.radius
         if isinstance(a, Rounded) and isinstance(b, Rounded):
             return _apart(a, b, T)
-        return Function(functools.partial(distance, Core.of(a), Core.of(b)), (), name="signed_distance")(T)
+        return Function(self.of_arrays(), (), name="signed_distance")(T)
+
+    def of_arrays(self) -> Callable[[Any], Any]:
+        """The signed distance () of two bounded solids as a function of an array T (4, 4)."""
+        if isinstance(self.a, Cylinder) and isinstance(self.b, Cylinder):
+            return functools.partial(cylinder_to_cylinder, self.a, self.b)
+        if isinstance(self.a, Cylinder):
+            return functools.partial(cylinder_to_core, self.a, Core.of(self.b))
+        return functools.partial(distance, Core.of(self.a), Core.of(self.b))
 
     def _reach(self, n: Expr) -> Expr:
         """How far a reaches along -n, a unit vector in its frame."""
@@ -121,6 +129,8 @@ def placed_pair(owner: str, a: Solid, b: Solid, T_a: ExprLike | None, T_b: ExprL
     """A pair, and the poses of its solids in one frame. Raises ModelError, ShapeError as `signed_distance`."""
     poses = [pose(owner, name, np.eye(4) if T is None else T) for name, T in (("T_a", T_a), ("T_b", T_b))]
     swapped = isinstance(a, (HalfSpace, DistanceGrid)) or (isinstance(b, Cylinder) and not isinstance(a, Cylinder))
+    if isinstance(a, Cylinder) and isinstance(b, Cylinder):
+        swapped = a.radius > b.radius
     first, second = (b, a) if swapped else (a, b)
     if isinstance(second, DistanceGrid):
         one: Any = rounded(owner, first) if isinstance(first, Sphere) else None
@@ -129,9 +139,6 @@ def placed_pair(owner: str, a: Solid, b: Solid, T_a: ExprLike | None, T_b: ExprL
                 f"{owner} expects a Sphere beside a DistanceGrid, got {short(first)}.\n  fix: several spheres"
             )
         two: Any = second
-    elif isinstance(first, Cylinder) and isinstance(second, (Cylinder, ConvexPolytope, Box)):
-        one = prism_around(first)
-        two = prism_around(second) if isinstance(second, Cylinder) else _core(owner, second)
     else:
         one = _core(owner, first)
         two = second if isinstance(second, HalfSpace) else _core(owner, second)

@@ -9,7 +9,6 @@ first solid: $p_a = n \\times m + h_a(n) n$ and $p_b = p_a + d n$.
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -23,7 +22,7 @@ from ...expr.lie import Act, Compose, Inverse
 from ...system.lower import lower
 from ...view import Cylinder
 from .distance_grid import DistanceGrid
-from .polytope import ConvexPolytope, Core, distance, root
+from .polytope import ConvexPolytope, root
 from .signed_distance import Pair, Solid, placed_pair
 from .solids import HalfSpace
 
@@ -81,11 +80,11 @@ def witness_points(a: Solid, b: Solid, T_a: ExprLike | None = None, T_b: ExprLik
 
 def _points_of(pair: Pair) -> Callable[[Any], Any]:
     """The function from the pose of b in a to both points, the normal and the distance (10,), in the frame of a."""
-    if isinstance(pair.a, Cylinder) or isinstance(pair.b, (HalfSpace, DistanceGrid)):
+    if isinstance(pair.b, (HalfSpace, DistanceGrid)):
         lowered = lower(pair.distance(State("T", (4, 4))))
         value_and_slope = jax.value_and_grad(lambda T: lowered(0.0, {"T": T}))
     else:  # as arrays, which compile faster than the expression
-        value_and_slope = jax.value_and_grad(functools.partial(distance, Core.of(pair.a), Core.of(pair.b)))
+        value_and_slope = jax.value_and_grad(pair.of_arrays())
 
     def points(T: jax.Array) -> jax.Array:
         d, G = value_and_slope(T)
