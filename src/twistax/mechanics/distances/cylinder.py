@@ -117,7 +117,7 @@ def _nearest(radius: float, height: float, middle: jax.Array, axis: jax.Array) -
 
 
 def _along(radius: float, height: float, s: jax.Array, middle: jax.Array, axis: jax.Array) -> jax.Array:
-    """The signed distance of the nearest point of an edge, at s; one step of Newton's method gives s its derivatives."""
+    """The signed distance of the nearest point of an edge, at s; a step of Newton's method gives s its derivatives."""
 
     def at(s: jax.Array, middle: jax.Array, axis: jax.Array) -> jax.Array:
         return _to_point(radius, height, middle + s * axis)

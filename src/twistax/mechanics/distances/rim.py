@@ -44,22 +44,22 @@ def rim_normals(q: jax.Array, e: jax.Array, z: jax.Array, radius: jax.Array) -> 
     w = jnp.cross(e, u)
     b = jnp.abs(jnp.sum(e * z, axis=1))
     q_u, q_w = jnp.sum(q * u, axis=1) / radius, jnp.sum(q * w, axis=1) / radius
-    along, aside = jnp.abs(q_u)[:, None], jnp.abs(q_w)[:, None] * jnp.asarray([[1.0, -1.0]], q.dtype)
+    along, beside = jnp.abs(q_u)[:, None], jnp.abs(q_w)[:, None] * jnp.asarray([[1.0, -1.0]], q.dtype)
     b = b[:, None]
-    least = jnp.arctan2(jnp.cbrt(b * jnp.abs(aside)), b * jnp.cbrt(along))
+    least = jnp.arctan2(jnp.cbrt(b * jnp.abs(beside)), b * jnp.cbrt(along))
 
     def halve(_: Any, ends: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         low, high = ends
         t = 0.5 * (low + high)
         c, s = jnp.cos(t), jnp.sin(t)
-        rises = aside * c - along * s + (1.0 - b * b) * s * c / jnp.sqrt(c * c + b * b * s * s) > 0.0
+        rises = beside * c - along * s + (1.0 - b * b) * s * c / jnp.sqrt(c * c + b * b * s * s) > 0.0
         return jnp.where(rises, t, low), jnp.where(rises, high, t)
 
-    low = jnp.where(aside < 0.0, least, 0.0)
+    low = jnp.where(beside < 0.0, least, 0.0)
     low, high = jax.lax.fori_loop(0, _HALVINGS, halve, (low, jnp.full_like(low, 0.5 * jnp.pi)))
     t = 0.5 * (low + high)
     sign_u, sign_w = jnp.where(q_u < 0.0, -1.0, 1.0)[:, None], jnp.where(q_w < 0.0, -1.0, 1.0)[:, None]
-    mirrored = jnp.where(aside < 0.0, -sign_w, sign_w)
+    mirrored = jnp.where(beside < 0.0, -sign_w, sign_w)
     return (sign_u * jnp.cos(t))[..., None] * u[:, None] + (mirrored * jnp.sin(t))[..., None] * w[:, None]
 
 

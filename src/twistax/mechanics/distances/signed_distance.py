@@ -84,7 +84,7 @@ class Pair:
 
     Attributes:
         a: a core with half lengths, a polytope or a cylinder.
-        b: the same, or a half-space or a grid; beside a cylinder a half-space or a core without volume.
+        b: the same, or a half-space or a grid; of two cylinders a is the one with the smaller radius.
         swapped: whether a is the second solid of the pair.
     """
 
