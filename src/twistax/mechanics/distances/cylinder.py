@@ -43,8 +43,7 @@ def cylinder_to_core(cylinder: Cylinder, core: Core, T: Any) -> jax.Array:
     if not len(core.edges):
         return _to_point(radius, height, T[:3, 3]) - core.radius
     depth = _depth(radius, height, core, T)
-    apart = _apart(radius, height, core, T)
-    return jnp.where(depth > 0.0, apart, depth) - core.radius
+    return jnp.where(depth > 0.0, _apart(radius, height, core, T), depth) - core.radius
 
 
 def reach(radius: float, height: float, n: jax.Array) -> jax.Array:

@@ -106,8 +106,8 @@ def _climbed(n: jax.Array, q: jax.Array, discs: tuple[tuple[float, jax.Array], .
         h = root(jnp.maximum(1.0 - height * height, 0.0))
         smooth, h = smooth & (h > _SMALL), jnp.where(h > _SMALL, h, 1.0)
         slope = slope + radius * height / h * axis
-        along = axis @ across
-        curvature = curvature + radius / h**3 * along[:, None] * along[None]
+        parts = axis @ across
+        curvature = curvature + radius / h**3 * parts[:, None] * parts[None]
     curvature = curvature - (slope @ n) * jnp.eye(2, dtype=n.dtype)
     size = curvature[0, 0] * curvature[1, 1] - curvature[0, 1] ** 2
     curved = smooth & (curvature[0, 0] < 0.0) & (size > (_SMALL * discs[0][0]) ** 2)

@@ -38,28 +38,29 @@ def unit(vectors: jax.Array, otherwise: jax.Array) -> jax.Array:
 
 def rim_normals(q: jax.Array, e: jax.Array, z: jax.Array, radius: jax.Array) -> jax.Array:
     """The unit vectors (k, 2, 3) across edges e (k, 3) in which f is greatest among its neighbours."""
-    # Along the major axis; across an edge parallel to z the ellipse is a circle, and any axis is one.
+    # u is along the major axis; across an edge parallel to z the ellipse is a circle, and any axis is one.
     other = jnp.eye(3, dtype=e.dtype)[jnp.argmin(jnp.abs(e), axis=1)]
     u = unit(jnp.cross(e, z), unit(jnp.cross(e, other), e))
     w = jnp.cross(e, u)
     b = jnp.abs(jnp.sum(e * z, axis=1))
     q_u, q_w = jnp.sum(q * u, axis=1) / radius, jnp.sum(q * w, axis=1) / radius
-    along, beside = jnp.abs(q_u)[:, None], jnp.abs(q_w)[:, None] * jnp.asarray([[1.0, -1.0]], q.dtype)
+    image = jnp.asarray([[False, True]])  # in the mirror image of the quadrant of q
+    major, minor = jnp.abs(q_u)[:, None], jnp.where(image, -jnp.abs(q_w)[:, None], jnp.abs(q_w)[:, None])
     b = b[:, None]
-    least = jnp.arctan2(jnp.cbrt(b * jnp.abs(beside)), b * jnp.cbrt(along))
+    least = jnp.arctan2(jnp.cbrt(b * jnp.abs(minor)), b * jnp.cbrt(major))
 
     def halve(_: Any, ends: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
         low, high = ends
         t = 0.5 * (low + high)
         c, s = jnp.cos(t), jnp.sin(t)
-        rises = beside * c - along * s + (1.0 - b * b) * s * c / jnp.sqrt(c * c + b * b * s * s) > 0.0
+        rises = minor * c - major * s + (1.0 - b * b) * s * c / jnp.sqrt(c * c + b * b * s * s) > 0.0
         return jnp.where(rises, t, low), jnp.where(rises, high, t)
 
-    low = jnp.where(beside < 0.0, least, 0.0)
+    low = jnp.where(image, least, 0.0)
     low, high = jax.lax.fori_loop(0, _HALVINGS, halve, (low, jnp.full_like(low, 0.5 * jnp.pi)))
     t = 0.5 * (low + high)
     sign_u, sign_w = jnp.where(q_u < 0.0, -1.0, 1.0)[:, None], jnp.where(q_w < 0.0, -1.0, 1.0)[:, None]
-    mirrored = jnp.where(beside < 0.0, -sign_w, sign_w)
+    mirrored = jnp.where(image, -sign_w, sign_w)
     return (sign_u * jnp.cos(t))[..., None] * u[:, None] + (mirrored * jnp.sin(t))[..., None] * w[:, None]
 
 
