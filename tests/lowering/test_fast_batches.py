@@ -75,6 +75,17 @@ def test_axes(in_axes: Any, out_axes: int) -> None:
     assert f"batch of {ROWS}: native" in tx.fast(batched).explain(*arrays)
 
 
+def test_rows_that_each_member_chooses() -> None:
+    """JAX's rule for gathers of batches counts axes in integers of NumPy, which its `vmap` refuses."""
+
+    def chosen(a: jax.Array, x: jax.Array) -> jax.Array:
+        rows = jnp.linalg.solve(a + jnp.diag(x), a) * jnp.exp(x)
+        return rows[jnp.argmax(rows[:, 0])]
+
+    batched = jax.vmap(chosen, (None, 0))
+    close(tx.fast(batched)(A, XS), jax.jit(batched)(A, XS), 1e-11)
+
+
 def test_arrays_with_an_axis_for_members() -> None:
     """Written without vmap."""
     own = tx.fast(lambda a, b: jnp.linalg.solve(a, b[..., None])[..., 0] * jnp.exp(b))

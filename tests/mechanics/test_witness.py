@@ -6,7 +6,6 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from scipy.optimize import minimize_scalar
 from test_distances import SHAPES, poses, values
 
 import twistax as tx
@@ -117,37 +116,6 @@ def test_a_cylinder_over_a_plane() -> None:
     assert np.abs(values(SOLIDS["cylinder"], HalfSpace(), A, B) - expected).max() < 1e-9
     upright = tx.lower(signed_distance(SOLIDS["cylinder"], HalfSpace(), tx.pose(position=[0.0, 0.0, 1.0])))
     assert float(upright(0.0, {})) == pytest.approx(0.6, abs=1e-15)
-
-
-def test_a_capsule_beside_a_cylinder_by_a_scalar_search() -> None:
-    A, B = poses(60, 0.9)
-    T = np.linalg.inv(A) @ B
-    expected = []
-    for place in T:
-
-        def at(s: float, place: np.ndarray = place) -> float:
-            p = place[:3, 3] + s * place[:3, 2]
-            across, up = np.hypot(p[0], p[1]) - RADIUS, abs(p[2]) - 0.5 * LENGTH
-            return float(np.hypot(max(across, 0.0), max(up, 0.0)) + min(max(across, up), 0.0))
-
-        grid = np.linspace(-0.45, 0.45, 181)
-        best = grid[np.argmin([at(s) for s in grid])]
-        ends = max(best - 0.005, -0.45), min(best + 0.005, 0.45)
-        inner = minimize_scalar(at, bounds=ends, method="bounded", options={"xatol": 1e-12}).fun
-        expected.append(min(inner, at(-0.45), at(0.45)) - 0.2)
-    assert np.abs(values(SOLIDS["capsule"], SOLIDS["cylinder"], B, A) - expected).max() < 1e-9
-
-
-@pytest.mark.parametrize("other", ["box", "cylinder"])
-def test_beside_other_solids_a_cylinder_is_a_prism_around_it(other: str) -> None:
-    A, B = poses(100, 1.2)
-    expected = by_coal(("cylinder", other), A, B)[:, 0]
-    less = expected - values(SOLIDS["cylinder"], SOLIDS[other], A, B)
-    count = 2 if other == "cylinder" else 1
-    apart = expected > 1e-3
-    assert apart.sum() > 20
-    assert less[apart].min() > -1e-6
-    assert less[apart].max() < 0.009 * RADIUS * count
 
 
 @functools.cache

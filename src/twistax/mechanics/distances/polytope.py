@@ -1,9 +1,8 @@
-"""Convex polytopes, and the distance of two polytopes as a JAX function.
+"""Convex polytopes, and the distance of two of them as a function of JAX.
 
-If two polytopes are separate, their nearest points are a corner and its projection onto a face, a corner and a point of
-an edge, or points of two edges: the distance is the minimum over all of these. If they overlap, the depth follows from
-the separating axes, which are the normals of faces and the cross products of edges: it is the largest gap between the
-projections of both on an axis.
+Outside, the nearest points of two polytopes are a corner and its projection within a face, a corner and a point of an
+edge, or points within two edges: the distance is the least of all of these. Inside, the depth is that of the separating
+axes, the normals of faces and the products of edges: the greatest gap between the projections of both on an axis.
 
 Source: C. Ericson, Real-Time Collision Detection (2005), sections 5.1.2, 5.1.5, 5.1.9 and 5.2.1.
 """
@@ -25,23 +24,25 @@ from ...view import Mesh
 from ..arguments import pose
 from .solids import Rounded
 
-#: Lengths that count as zero, relative to the size of the polytope; squared sines of edges that count as parallel.
+#: Of lengths that count as zero, relative to the size of the polytope; of sines squared of parallel edges.
 _SMALL, _PARALLEL = 1e-10, 1e-14
-#: The squared distance in m2 of pairs of features whose nearest points lie beyond their ends.
-_FAR = 1e12
+#: By which triangles overlap, relative to their sides.
+_SEAM = 1e-13
+#: Stands for features whose nearest points lie beyond their ends, m2.
+FAR = 1e12
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ConvexPolytope:
-    """A solid: the convex hull of points $p_i$, and all points within a radius r of it: $|p - sum w_i p_i| <= r$ with
-    weights $w_i >= 0$ whose sum is 1.
+    """The convex hull of points $p_i$, and all points within a radius r of it: $|p - sum w_i p_i| <= r$ with weights
+    $w_i >= 0$ whose sum is 1.
 
     Attributes:
-        corners: points (k, 3), m; or a `tx.view.Mesh`, including its `at`.
+        corners: (k, 3), m: points, or a `tx.view.Mesh`, whose `at` counts too.
         radius: m.
-        at: pose T (4, 4) in the frame of the body; the identity by default.
-        most: None, or the largest number of corners. If corners are omitted, the radius grows by their distance, so
-            that the solid contains the hull; see `radius`.
+        at: T (4, 4) in the frame of the body; the identity by default.
+        most: None, or the number of corners that are kept. The radius then grows by the distance of what is left out,
+            so that the solid contains the hull: `radius` says by how much.
     Raises: InputError for points that are not finite or span no volume; ModelError for numbers that are not a pose.
 
     Example:
@@ -61,7 +62,7 @@ class ConvexPolytope:
             points = points.mesh()[0] @ np.asarray(points.at)[:3, :3].T + np.asarray(points.at)[:3, 3]
         points = reals("ConvexPolytope: corners", points, InputError)
         if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
-            raise InputError(f"ConvexPolytope expects finite corners of shape (k, 3), got {short(self.corners)}")
+            raise InputError(f"ConvexPolytope expects corners (k, 3) that are finite, got {short(self.corners)}")
         if not 0.0 <= float(self.radius) < np.inf:
             raise InputError(f"ConvexPolytope expects a radius of 0 or more, got {self.radius!r}")
         hull = _hull(points)
@@ -78,7 +79,7 @@ class ConvexPolytope:
 
     @functools.cached_property
     def core(self) -> Core:
-        """The hull's corners, edges and faces."""
+        """Corners, edges and faces."""
         from scipy.spatial import ConvexHull
 
         return Core.of_hull(ConvexHull(self.corners), self.at, float(self.radius))
@@ -89,12 +90,11 @@ class Core:
     """A point, a segment or a polytope with a radius, as arrays.
 
     Attributes:
-        at: pose T (4, 4) in the frame of the body.
+        at: T (4, 4) in the frame of the body.
         corners: (v, 3).
-        edges: (e, 2, 3): both ends of each.
+        edges: (e, 2, 3): both ends.
         faces: (f, 3, 3): corners of triangles.
-        normals, offsets: outward normals (g, 3) of faces, each direction once, and (g,) with $n . p = offset$ on the
-            face.
+        normals: (g, 3), of faces, outward, each direction once; offsets (g,): $n . p = offset$ on the face.
         radius: m.
     """
 
@@ -115,7 +115,7 @@ class Core:
 
     @classmethod
     def of_hull(cls, hull: Any, at: NDArray[np.float64], radius: float) -> Core:
-        """The core of a `scipy.spatial.ConvexHull`, without edges within a face."""
+        """Of a `scipy.spatial.ConvexHull`; edges within a face are left out."""
         points, triangles, planes = hull.points, hull.simplices, hull.equations
         edges = []
         for i, near in enumerate(hull.neighbors):
@@ -131,7 +131,7 @@ class Core:
 
     @classmethod
     def of(cls, solid: Rounded | ConvexPolytope) -> Core:
-        """The core of a box, a capsule, a ball or a polytope."""
+        """Of a box, a capsule, a ball or a polytope."""
         if isinstance(solid, ConvexPolytope):
             return solid.core
         count = len(solid.directions)
@@ -143,7 +143,7 @@ class Core:
 
 
 def distance(a: Core, b: Core, T: Any) -> jax.Array:
-    """The signed distance () of the core b, at the pose T in the frame of the core a, from a."""
+    """The signed distance () for the pose T of the core b in that of a."""
     T = jnp.asarray(T)
     R, p = T[:3, :3], T[:3, 3]
     constant = functools.partial(jnp.asarray, dtype=T.dtype)
@@ -182,15 +182,22 @@ def _to_edges(points: jax.Array, edges: jax.Array) -> jax.Array:
 
 def _to_faces(points: jax.Array, faces: jax.Array) -> jax.Array:
     """The squared distances of points (k, 3) to triangles (f, 3, 3) within which they project."""
+    corner = faces[:, 0]
+    n = jnp.cross(faces[:, 1] - corner, faces[:, 2] - corner)
+    points = jnp.broadcast_to(points[:, None], (len(points), *n.shape))
+    height = jnp.sum((points - corner[None]) * n[None], axis=2)
+    return jnp.ravel(jnp.where(within_triangles(points, faces), height**2 / jnp.sum(n**2, axis=1)[None], FAR))
+
+
+def within_triangles(points: jax.Array, faces: jax.Array) -> jax.Array:
+    """Whether points (..., f, 3) project into triangles (f, 3, 3), or by rounding beside them."""
     corner, u, v = faces[:, 0], faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0]
-    n = jnp.cross(u, v)
-    size, n = jnp.sum(n**2, axis=1)[None], n[None]
-    w = points[:, None] - corner[None]
-    s = jnp.sum(jnp.cross(w, jnp.broadcast_to(v[None], w.shape)) * n, axis=2) / size
-    t = jnp.sum(jnp.cross(jnp.broadcast_to(u[None], w.shape), w) * n, axis=2) / size
-    height = jnp.sum(w * n, axis=2)
-    within = (s >= 0.0) & (t >= 0.0) & (s + t <= 1.0)
-    return jnp.ravel(jnp.where(within, height**2 / size, _FAR))
+    n, corner, u, v = (jnp.broadcast_to(x, points.shape) for x in (jnp.cross(u, v), corner, u, v))
+    size, w = jnp.sum(n**2, axis=-1), points - corner
+    s = jnp.sum(jnp.cross(w, v) * n, axis=-1) / size
+    t = jnp.sum(jnp.cross(u, w) * n, axis=-1) / size
+    # Two triangles of one face leave no gap on the line between them.
+    return (s >= -_SEAM) & (t >= -_SEAM) & (s + t <= 1.0 + _SEAM)
 
 
 def _between(one: jax.Array, two: jax.Array) -> jax.Array:
@@ -204,11 +211,11 @@ def _between(one: jax.Array, two: jax.Array) -> jax.Array:
     s = jnp.sum(jnp.cross(w, jnp.broadcast_to(e[None], wide)) * n, axis=2) / safe
     t = jnp.sum(jnp.cross(w, jnp.broadcast_to(d[:, None], wide)) * n, axis=2) / safe
     within = skew & (s >= 0.0) & (s <= 1.0) & (t >= 0.0) & (t <= 1.0)
-    return jnp.ravel(jnp.where(within, jnp.sum(w * n, axis=2) ** 2 / safe, _FAR))
+    return jnp.ravel(jnp.where(within, jnp.sum(w * n, axis=2) ** 2 / safe, FAR))
 
 
 def _separation(a: Core, b: Core, Va: jax.Array, Vb: jax.Array, R: jax.Array, p: jax.Array) -> jax.Array:
-    """The largest gap along a separating axis; if negative, minus the smallest depth of an overlap."""
+    """The greatest gap along a separating axis; below zero the least depth of an overlap."""
     constant = functools.partial(jnp.asarray, dtype=R.dtype)
     gaps = []
     if len(a.normals):
@@ -216,7 +223,7 @@ def _separation(a: Core, b: Core, Va: jax.Array, Vb: jax.Array, R: jax.Array, p:
     if len(b.normals):
         normals = constant(b.normals) @ R.T
         gaps.append(jnp.min(normals @ Va.T, axis=1) - normals @ p - constant(b.offsets))
-    d, e = (constant(_directions(core.edges)) for core in (a, b))
+    d, e = (constant(directions(core.edges)) for core in (a, b))
     if len(d) and len(e):
         wide = (len(d), len(e), 3)
         n = jnp.cross(jnp.broadcast_to(d[:, None], wide), jnp.broadcast_to((e @ R.T)[None], wide)).reshape(-1, 3)
@@ -226,12 +233,12 @@ def _separation(a: Core, b: Core, Va: jax.Array, Vb: jax.Array, R: jax.Array, p:
         of_a, of_b = n @ Va.T, n @ Vb.T
         gap_of_b = jnp.min(of_b, axis=1) - jnp.max(of_a, axis=1)
         gap_of_a = jnp.min(of_a, axis=1) - jnp.max(of_b, axis=1)
-        gaps.append(jnp.where(skew, jnp.maximum(gap_of_b, gap_of_a), -_FAR))
+        gaps.append(jnp.where(skew, jnp.maximum(gap_of_b, gap_of_a), -FAR))
     every = jnp.concatenate(gaps)
-    return every[jnp.argmax(every)]  # of equal gaps, the slope of a single one, because their mean may be zero
+    return every[jnp.argmax(every)]  # of equal gaps the slope of one, for their mean may be zero
 
 
-def _directions(edges: NDArray[np.float64]) -> NDArray[np.float64]:
+def directions(edges: NDArray[np.float64]) -> NDArray[np.float64]:
     """The unit vectors (k, 3) of edges, each direction once."""
     kept: list[Any] = []
     for start, end in edges:
@@ -242,7 +249,7 @@ def _directions(edges: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _hull(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The corners of the convex hull. Raises InputError if it has no volume."""
+    """The corners of the convex hull. Raises InputError where it has no volume."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:
@@ -250,16 +257,14 @@ def _hull(points: NDArray[np.float64]) -> NDArray[np.float64]:
     except (QhullError, ValueError) as error:
         raise InputError(
             f"ConvexPolytope expects points that span a volume, got {len(points)} points that do not.\n"
-            "  fix: use a Sphere, a Capsule or a Box of tx.view"
+            "  fix: a Sphere, a Capsule or a Box of tx.view"
         ) from error
 
 
 def _fewer(hull: NDArray[np.float64], most: int) -> NDArray[np.float64]:
-    """At most this number of corners, each the farthest from the previous ones. Raises
-    InputError for fewer than four.
-    """
+    """At most so many corners, each the farthest from those before it. Raises InputError for fewer than four."""
     if most < 4:
-        raise InputError(f"ConvexPolytope expects most to be 4 or more, got {most}")
+        raise InputError(f"ConvexPolytope expects most of 4 or more, got {most}")
     kept = [int(np.argmax(np.linalg.norm(hull - hull.mean(axis=0), axis=1)))]
     distances = np.linalg.norm(hull - hull[kept[0]], axis=1)
     while len(kept) < most:

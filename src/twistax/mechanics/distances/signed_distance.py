@@ -1,18 +1,18 @@
 """The signed distance of two solids, as an expression with derivatives of all orders.
 
-If two cores are separate, their nearest points are a corner of one and its projection onto the other, or points of two
-edges. So the square of the distance is the minimum of
+Outside, the nearest points of two cores are a corner and its projection on the other core, or lie within two edges. So
+the square of the distance is the least of
 
     |c - clip(c, -h, h)|^2        |w|^2 - [d e] [1 -b; -b 1]^-1 [d e]^T
 
-over the corners c of one core in the frame of the other, whose half lengths are h, and over pairs of edges whose
-nearest points lie within both. Here w is the vector between the edges' centres, b the cosine of the angle between them,
-and d and e are the components of w along them. If a core has a volume, the depth follows from the separating axes: it
-is the maximum, over the faces' normals and the cross products of edges n, of
+over the corners c of one in the frame of the other, of half lengths h, and over pairs of edges, with w from edge to
+edge, b the cosine of the angle between them, d and e the parts of w along them, where both points lie within their
+edges. Where a core has a volume, the depth is that of the separating axes: the greatest over the faces' normals and the
+products of edges n of
 
     |n . p| - sum_i h_i |n . a_i| - sum_j h_j |n . b_j|,
 
-which is negative if the cores overlap.
+which is negative where the cores overlap.
 
 Source: C. Ericson, Real-Time Collision Detection (2005), sections 4.4.1, 5.1.3 and 5.1.9.
 """
@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from collections.abc import Callable
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -31,43 +32,44 @@ from ...expr import Abs, Constant, Cross, Dot, Expr, Max, Min, Sqrt, Where
 from ...expr.fields import ExprLike
 from ...expr.functions.function import Function
 from ...expr.lie import Compose, Inverse
-from ...view import Box, Cylinder, Shape, Sphere
+from ...view import Cylinder, Shape, Sphere
 from ..arguments import pose
-from .cylinder import over_plane, prism_around, to_segment
+from .cylinder import cylinder_to_core, over_plane
+from .cylinder_pair import cylinder_to_cylinder
 from .distance_grid import DistanceGrid
 from .polytope import ConvexPolytope, Core, distance
 from .solids import HalfSpace, Rounded, rounded
 
-#: For edges whose squared sine is smaller, corners are as near as the edges.
+#: Of edges nearer to parallel than this sine squared, the corners are as near as the edges.
 _PARALLEL = 1e-14
-#: The squared distance in m2 of pairs of edges whose nearest points lie beyond their ends.
+#: Stands for a pair of edges whose nearest points lie beyond their ends, m2.
 _FAR = Constant(1e12)
 _UNIT = np.eye(3)
 
 
-#: Solids with a distance function.
+#: What has a distance.
 Solid: TypeAlias = Shape | HalfSpace | ConvexPolytope | DistanceGrid
 
 
 def signed_distance(a: Solid, b: Solid, T_a: ExprLike | None = None, T_b: ExprLike | None = None) -> Expr:
-    """The distance () of two solids, m; a negative value is minus the penetration depth.
+    """The distance () of two solids, m; a negative value is the depth of penetration.
 
     For separate cores with half lengths h the distance is the minimum over corners and pairs of edges. If they overlap
     and one is a box, it is the maximum over the separating axes n of $|n . p| - sum h |n . a|$. The radii are
-    subtracted from it. For two capsules or balls the depth is at most the sum of the radii. The distance is continuous,
-    and smooth except where the nearest features change.
+    subtracted. For two capsules or balls the depth is at most the sum of the radii. The depth of a cylinder is the
+    length of the shortest translation that separates the solids. The distance is continuous, and smooth except where
+    the nearest features change.
 
-    Source: C. Ericson, Real-Time Collision Detection (2005), sections 4.4.1, 5.1.3 and 5.1.9.
+    Sources: C. Ericson, Real-Time Collision Detection (2005), sections 4.4.1, 5.1.3 and 5.1.9; of cylinders D. Eberly,
+    Distance from a Point to an Ellipse, an Ellipsoid, or a Hyperellipsoid, section 2 (2013).
 
     Args:
-        a, b: `tx.view.Sphere`, `Capsule`, `Box` or `Cylinder`, `ConvexPolytope`, or one `HalfSpace`; a `DistanceGrid`
-            can be combined only with a `Sphere`. Their `at` is in the frame of their bodies. A cylinder paired with a
-            box, a polytope or another cylinder is replaced by a prism that extends beyond it by at most 0.9 % of its
-            radius; paired with a capsule, the depth is that of the deepest point of the capsule's axis.
+        a, b: `tx.view.Sphere`, `Capsule`, `Box` or `Cylinder`, `ConvexPolytope`, or one `HalfSpace`; a `Sphere` and a
+            `DistanceGrid`. Their `at` is in the frame of their bodies.
         T_a, T_b: poses (4, 4) of the bodies in one frame, such as `arm.pose("hand")`; the identity by default.
     Raises:
-        ModelError: a shape of another type; two half-spaces; numbers that are not a pose.
-        ShapeError: a pose of the wrong shape.
+        ModelError: another shape; two half-spaces; numbers that are not a pose.
+        ShapeError: a pose of another shape.
 
     Example:
         `signed_distance(tx.view.Sphere(0.1), HalfSpace(), arm.pose("hand")) >= 0.02` is a constraint of a `Problem`.
@@ -78,11 +80,11 @@ def signed_distance(a: Solid, b: Solid, T_a: ExprLike | None = None, T_b: ExprLi
 
 @dataclasses.dataclass(frozen=True)
 class Pair:
-    """Two solids in the form that the distance functions require.
+    """Two solids as their distance takes them.
 
     Attributes:
         a: a core with half lengths, a polytope or a cylinder.
-        b: the same, or a half-space or a grid; if a is a cylinder, a half-space or a core without volume.
+        b: the same, or a half-space or a grid; of two cylinders a is the one with the smaller radius.
         swapped: whether a is the second solid of the pair.
     """
 
@@ -91,20 +93,26 @@ class Pair:
     swapped: bool
 
     def distance(self, T: Expr) -> Expr:
-        """The signed distance () if T is the pose of b in the frame of a."""
+        """The signed distance () where T is the pose of b in the frame of a."""
         a, b = self.a, self.b
         if isinstance(b, DistanceGrid):
             return b.value(-(T[:3, :3].T @ T[:3, 3])) - a.radius
         if isinstance(b, HalfSpace):
             return -Dot(T[:3, 2], T[:3, 3]) - self._reach(T[:3, 2])
-        if isinstance(a, Cylinder):
-            return to_segment(a, float(b.half[2]), T) - b.radius
         if isinstance(a, Rounded) and isinstance(b, Rounded):
             return _apart(a, b, T)
-        return Function(functools.partial(distance, Core.of(a), Core.of(b)), (), name="signed_distance")(T)
+        return Function(self.of_arrays(), (), name="signed_distance")(T)
+
+    def of_arrays(self) -> Callable[[Any], Any]:
+        """The signed distance () of two bounded solids as a function of an array T (4, 4)."""
+        if isinstance(self.a, Cylinder) and isinstance(self.b, Cylinder):
+            return functools.partial(cylinder_to_cylinder, self.a, self.b)
+        if isinstance(self.a, Cylinder):
+            return functools.partial(cylinder_to_core, self.a, Core.of(self.b))
+        return functools.partial(distance, Core.of(self.a), Core.of(self.b))
 
     def _reach(self, n: Expr) -> Expr:
-        """The extent of a along -n, a unit vector in its frame."""
+        """How far a reaches along -n, a unit vector in its frame."""
         a = self.a
         if isinstance(a, Cylinder):
             return over_plane(a, n)
@@ -118,26 +126,24 @@ class Pair:
 
 
 def placed_pair(owner: str, a: Solid, b: Solid, T_a: ExprLike | None, T_b: ExprLike | None) -> tuple[Pair, Expr, Expr]:
-    """A pair, and the poses of its solids in one frame. Raises the errors of `signed_distance`."""
+    """A pair, and the poses of its solids in one frame. Raises ModelError, ShapeError as `signed_distance`."""
     poses = [pose(owner, name, np.eye(4) if T is None else T) for name, T in (("T_a", T_a), ("T_b", T_b))]
     swapped = isinstance(a, (HalfSpace, DistanceGrid)) or (isinstance(b, Cylinder) and not isinstance(a, Cylinder))
+    if isinstance(a, Cylinder) and isinstance(b, Cylinder):
+        swapped = a.radius > b.radius
     first, second = (b, a) if swapped else (a, b)
     if isinstance(second, DistanceGrid):
         one: Any = rounded(owner, first) if isinstance(first, Sphere) else None
         if one is None:
             raise ModelError(
-                f"{owner} expects a Sphere as the partner of a DistanceGrid, got {short(first)}.\n"
-                "  fix: enclose the solid in several spheres"
+                f"{owner} expects a Sphere beside a DistanceGrid, got {short(first)}.\n  fix: several spheres"
             )
         two: Any = second
-    elif isinstance(first, Cylinder) and isinstance(second, (Cylinder, ConvexPolytope, Box)):
-        one = prism_around(first)
-        two = prism_around(second) if isinstance(second, Cylinder) else _core(owner, second)
     else:
         one = _core(owner, first)
         two = second if isinstance(second, HalfSpace) else _core(owner, second)
     A, B = poses[::-1] if swapped else poses
-    B = B if isinstance(two, DistanceGrid) else Compose(B, Constant(two.at))  # a grid includes its pose
+    B = B if isinstance(two, DistanceGrid) else Compose(B, Constant(two.at))  # a grid has its place in itself
     return Pair(one, two, swapped), Compose(A, Constant(one.at)), B
 
 
@@ -146,7 +152,7 @@ def _core(owner: str, solid: Solid) -> Rounded | ConvexPolytope | Cylinder:
 
 
 def _apart(a: Rounded, b: Rounded, T: Expr) -> Expr:
-    """The distance of two cores, minus the radii; T is the pose of b in a."""
+    """The distance of two cores, less the radii; T is the pose of b in a."""
     R, p = T[:3, :3], T[:3, 3]
     squares = [_to_core(Constant(b.corners) @ R.T + p[None], a), _to_core((Constant(a.corners) - p[None]) @ R, b)]
     squares += [_between_edges(a, b, i, j, R, p) for i in a.directions for j in b.directions]
@@ -164,9 +170,7 @@ def _to_core(points: Expr, core: Rounded) -> Expr:
 
 
 def _between_edges(a: Rounded, b: Rounded, i: int, j: int, R: Expr, p: Expr) -> Expr:
-    """The smallest squared distances (k,) between points of the edges of a along axis i and points of the edges of b
-    along axis j.
-    """
+    """The least squared distances (k,) of points within the edges of a along axis i and those of b along axis j."""
     direction, one, two = R[:, j], a.edges(i), b.edges(j)
     sine = 1.0 - direction[i] * direction[i]
     skew = sine > _PARALLEL
@@ -185,7 +189,7 @@ def _squares(r: Expr) -> Expr:
 
 
 def _least(values: Expr) -> Expr:
-    """The minimum of 2^n values."""
+    """The least of 2^n values."""
     while values.shape[0] > 1:
         half = values.shape[0] // 2
         values = Min(values[:half], values[half:])
@@ -193,7 +197,7 @@ def _least(values: Expr) -> Expr:
 
 
 def _separation(a: Rounded, b: Rounded, R: Expr, p: Expr) -> Expr:
-    """The largest gap along a separating axis; if negative, minus the smallest depth of an overlap."""
+    """The greatest distance along a separating axis; below zero the least depth of an overlap."""
     values: list[Expr] = []
 
     def along(n: Expr) -> Expr:

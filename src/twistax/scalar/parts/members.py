@@ -34,6 +34,11 @@ class OneMember(NamedTuple):
     run: Callable[..., Sequence[Any]]
 
 
+def _of_python(axes: Axes) -> Axes:
+    """Axes as `jax.vmap` takes them; those that JAX's rules for gathers compute are integers of NumPy."""
+    return [None if axis is None else int(axis) for axis in axes]
+
+
 def one_member(eqn: Any, size: int, axes: Axes) -> OneMember:
     """An equation on one member.
 
@@ -47,6 +52,7 @@ def one_member(eqn: Any, size: int, axes: Axes) -> OneMember:
     if rule is None:
         raise Mixed
     operands, results, changed = rule(eqn, size, axes)
+    operands, results = map(_of_python, (operands, results))
     shared = [v.aval.size for v, axis in zip(eqn.invars, operands, strict=True) if axis is None]
     if eqn.primitive.name not in _LOOPS and max(shared, default=0) > _MOST_SHARED:
         raise Mixed
