@@ -15,6 +15,7 @@ from twistax.trajectory import Collocation, Controller, GaussNewton, Problem
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")]
 
+GAUSS = Collocation(tx.tableaus.GAUSS_LEGENDRE4)
 PROBLEMS: dict[str, Callable[[], Problem]] = {
     "regulator": regulator,
     "pointing": pointing,
@@ -22,7 +23,9 @@ PROBLEMS: dict[str, Callable[[], Problem]] = {
     "Bryson-Denham": lambda: problems.bryson_denham(nodes=16),
     "cart-pole": lambda: problems.cart_pole(nodes=21),
     "cart-pole, Gauss-Newton": lambda: problems.cart_pole(nodes=21, hessian=GaussNewton()),
-    "cart-pole, collocation": lambda: problems.cart_pole(nodes=11, transcription=Collocation(tx.tableaus.GAUSS_LEGENDRE4)),
+    "cart-pole, collocation": lambda: problems.cart_pole(
+        nodes=11, transcription=Collocation(tx.tableaus.GAUSS_LEGENDRE4)
+    ),
     "half turn on SO(3)": lambda: problems.reorientation(nodes=13),
     "landing on SE(3)": problems.landing,
     "Goddard": lambda: problems.goddard(nodes=21),
