@@ -1,4 +1,4 @@
-"""Conformance tests for custom groups, joints, nodes, tableaus and scenes: the laws that each must satisfy, and gradients.
+"""Tests for custom groups, joints, nodes, tableaus and scenes, the laws that each must satisfy, and for gradients.
 
 The test suite of this package applies the same functions to all of its parts.
 """

@@ -184,10 +184,7 @@ class KernelRunner:
             return None
         closed = pure(function, shapes)
         if closed is None:
-            return (
-                "it has effects, random keys or more than 1,000 constants, such as the weights of a network: a "
-                "tx.ParameterTree makes them parameters, which kernels take"
-            )
+            return "it has effects, random keys or more than 1,000 constants: pass weights as a tx.ParameterTree"
         try:
             native_form(_XLA.scalarised(closed))
         except (NotNative, TooLarge) as error:
