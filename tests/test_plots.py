@@ -109,6 +109,25 @@ def test_joints_and_outputs_are_drawn_by_name_in_units_that_are_asked_for() -> N
         satellite().plot("wheel")
 
 
+def test_declared_units_are_those_of_the_axes() -> None:
+    h, w = tx.State("h", unit="m"), tx.State("w", shape=(3,), kind=tx.FreeVector("body"), unit="rad/s")
+    g = tx.State("g", group=tx.SE3, order=tx.ANGULAR_FIRST, kind=tx.kinds.Pose("world", "body"))
+    V, plain = tx.State("V", shape=(6,), kind=tx.Twist("body")), tx.State("plain")
+    k = tx.Parameter("k", value=-1.0, unit="1/s")
+    dynamics = tx.compile(tx.System(rates={h: k * h, w: k * w, g: V, V: k * V, plain: -plain}))
+    start = {"h": 1.0, "w": np.ones(3), "g": np.eye(4), "V": np.ones(6), "plain": 1.0}
+    solution = tx.integrate(dynamics, start, t1=1.0, dt=0.5, save_at=np.linspace(0.0, 1.0, 3))
+    units = {title: axes.get_ylabel() for title, axes in panels(solution.plot()).items()}
+    parts = {"position of g": "m", "attitude of g": "deg"}
+    assert units == {"h": "m", "w": "rad/s", "V, rad/s": "rad/s", "V, m/s": "m/s", "plain": "SI"} | parts
+    found = panels(solution.plot("w", "h", "V", units={"w": "deg/s", "h": "mm"}))
+    np.testing.assert_allclose(found["w"].get_lines()[0].get_ydata(), np.rad2deg(solution.xs["w"][:, 0]), rtol=1e-14)
+    np.testing.assert_allclose(found["h"].get_lines()[0].get_ydata(), 1e3 * solution.xs["h"], rtol=1e-14)
+    assert [line.get_label() for line in found["V, rad/s"].get_lines()] == ["V[0]", "V[1]", "V[2]"]
+    with pytest.raises(tx.InputError, match=r"'h' is in m, which is not converted to 'deg'; it expects 'm', 'mm'"):
+        solution.plot("h", units={"h": "deg"})
+
+
 def test_labels_of_a_system_are_checked_and_saved(tmp_path: Path) -> None:
     x, u = tx.State("x", shape=(2,)), tx.Control("u", min=-1.0, max=1.0)
     labels = {x: [("cart", "m"), ("pole", "rad")], "u": [("motor", "N")]}

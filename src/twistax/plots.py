@@ -72,8 +72,9 @@ def panels(
     """
     pieces = [(np.asarray(ts), np.asarray(values)) for ts, values in pieces]
     units, size = unit.split(", "), pieces[0][1][0].size if pieces and len(pieces[0][1]) else 0
-    if not labels and (group is None or group.flat) and len(units) > 1 and size and size % len(units) == 0:
-        labels = [(f"{name}[{k}]", units[k * len(units) // size]) for k in range(size)]
+    if (group is None or group.flat) and len(units) > 1 and size and size % len(units) == 0:
+        labels = labels or [(f"{name}[{k}]", units[k * len(units) // size]) for k in range(size)]
+        unit = ""
     if labels and pieces:
         return _labelled(name, [(ts, v.reshape(len(v), -1)) for ts, v in pieces], unit, labels)
     if group is None or group.flat or (len(group.parts) == 1 and not group.rigid):
@@ -88,6 +89,12 @@ def _labelled(
     by_unit: dict[str, list[int]] = {}
     for column, (_, label_unit) in enumerate(labels):
         by_unit.setdefault(label_unit, []).append(column)
+    if unit and unit not in by_unit and not any((label_unit, unit) in _FACTORS for label_unit in by_unit):
+        known = [to for start, to in _FACTORS if start in by_unit]
+        raise InputError(
+            f"plot: {name!r} is in {' and '.join(by_unit)}, which is not converted to {unit!r}; it expects "
+            f"{listed([*by_unit, *known], unit)}"
+        )
     drawn = []
     for label_unit, columns in by_unit.items():
         shown, factor = (unit, _FACTORS[label_unit, unit]) if (label_unit, unit) in _FACTORS else (label_unit, 1.0)
@@ -165,6 +172,7 @@ class Pictured(NamedTuple):
         pieces: a function from a name to its pieces of times and values.
         labels: by name of a leaf, pairs of name and unit; the name of a joint draws all entries with that name.
         units: the units that the user requests, by name.
+        declared: labels of leaves without joints, from their declared units.
     """
 
     shown: Sequence[str]
@@ -172,6 +180,7 @@ class Pictured(NamedTuple):
     pieces: Callable[[str], Sequence[tuple[Array, Array]]]
     labels: Labels
     units: Mapping[str, str] | None
+    declared: Labels
 
     def panels(self, names: Sequence[Any]) -> list[Panel]:
         """The panels of the names that were passed to a plot. Raises InputError for an unknown one."""
@@ -184,12 +193,15 @@ class Pictured(NamedTuple):
         if columns is None:
             pieces = self.pieces(name)
             group = group_of(pieces[0][1]) if pieces else None
-            return panels(name, group, pieces, units.get(name, ""), self.labels.get(name, ()))
+            labels = self.labels.get(name) or self.declared.get(name, ())
+            return panels(name, group, pieces, units.get(name, ""), labels)
         drawn = []
         for leaf, entries in columns.items():
             pieces = [(ts, np.asarray(values).reshape(len(ts), -1)[:, entries]) for ts, values in self.pieces(leaf)]
             some = [self.labels[leaf][i] for i in entries]
-            drawn += panels(f"{leaf} of {name}", None, pieces, units.get(name, units.get(leaf, "")), some)
+            unit = units.get(name, units.get(leaf, ""))
+            converted = any((label_unit, unit) in _FACTORS for _, label_unit in some)  # q in deg, and not qd
+            drawn += panels(f"{leaf} of {name}", None, pieces, unit if converted else "", some)
         return drawn
 
 

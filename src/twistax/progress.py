@@ -86,8 +86,9 @@ class Progress:
                 _WATCHED.remove(self)
             self.close()
             within = any(line.what == self.what for line in _WATCHED)  # the outer one shows the seconds of both
-            if self._waited and self._patience and not within:
-                self._write(f"took {time.perf_counter() - self._begin:.1f} s", live=False)
+            took = time.perf_counter() - self._begin
+            if self._waited and self._patience and took >= self._patience and not within:
+                self._write(f"took {took:.1f} s", live=False)
 
     def reached(self, t: float, share: float) -> None:
         """Show the time that an integration has reached, in s, and the completed fraction."""

@@ -188,10 +188,27 @@ def test_what_a_leaf_leaves_open_is_inferred() -> None:
 def test_a_kind_is_for_a_shape_and_a_unit_is_si() -> None:
     with pytest.raises(tx.ModelError, match=r"Twist is for shape \(6,\), got \(3,\)"):
         tx.State("V", shape=(3,), kind=tx.Twist("body"))
+    with pytest.raises(tx.ModelError, match=r"'T' is on SE\(?3\)?, got kind=Rotation"):
+        tx.State("T", group=tx.SE3, kind=tx.kinds.Rotation("world", "body"))
     with pytest.raises(tx.ModelError, match="'furlong' is none of"):
         tx.State("h", unit="furlong")
     with pytest.raises(tx.ModelError, match="use an SI unit"):
         tx.State("h", unit=tx.units.feet)
+
+
+def test_values_have_the_unit_of_their_leaf() -> None:
+    m, kg = tx.units.metres, tx.units.kilograms
+    tx.State("h", unit="m", min=0.0, max=3.0 * tx.units.feet)
+    tx.State("V", shape=(6,), kind=tx.Twist("body"), scale=2.0 * m / tx.units.seconds)
+    for build in (
+        lambda: tx.State("h", unit="m", max=3.0 * kg),
+        lambda: tx.State("p", shape=(3,), kind=tx.Point("world"), initial=[1.0 * m, 2.0 * m, 3.0 * kg]),
+        lambda: tx.Control("u", unit="m", scale=3.0 * kg),
+        lambda: tx.Parameter("k", value=3.0 * kg, unit="m"),
+        lambda: tx.Constant(3.0 * kg, unit="m"),
+    ):
+        with pytest.raises(tx.ModelError, match=r"is declared in m, but .*= is in kg"):
+            build()
 
 
 def test_programs_are_the_same_with_and_without_kinds() -> None:

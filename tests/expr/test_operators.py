@@ -102,6 +102,7 @@ def test_value_errors(attempt: Callable[[], Any], sentence: str) -> None:
         (tx.Cond(s <= 0.0, x, q), r"Cond shapes not broadcastable"),
         (tx.Cond(x <= 0.0, x, x), r"Cond expects predicate with shape \(\), got \(3,\)"),
         (A @ q, r"MatMul incompatible shapes: \(3, 3\) @ \(4,\)"),
+        (tx.State("T", (4, 4)) @ x, r"(?s)MatMul incompatible shapes: \(4, 4\) @ \(3,\).*tx.lie.Act\(T, p\)"),
         (A @ s, r"MatMul expects vectors or matrices, got \(3, 3\) @ \(\)"),
         (tx.Solve(P, x), r"Solve expects A to be a square matrix, got shape \(2, 3\)"),
         (tx.Solve(A, q), r"Solve expects b with shape \(3,\) or \(3, k\), got \(4,\)"),

@@ -4,6 +4,8 @@ import functools
 import threading
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from trajectory_systems import HEUN, spinning_ball
@@ -346,3 +348,33 @@ def test_a_failed_solve_leaves_the_plan() -> None:
     assert controller.status is Status.NON_FINITE
     for name, values in plan.items():
         np.testing.assert_array_equal(controller.xs[name], values)
+
+
+def test_calls_inside_of_a_program_are_those_outside() -> None:
+    """A closed loop in `lax.scan`: measured states, changed parameters, shifts and gains in their order."""
+    weights = np.array([0.1, 0.3, 0.2, 0.2])
+
+    def step(controller: Controller, x: Any, weight: Any) -> tuple[Any, Any]:
+        controller.prepare({"weight": weight})
+        u = controller.feedback(x)
+        corrected = controller.correct({"p": x["p"] + 0.01, "v": x["v"]})
+        controller.shift()
+        after = {"p": x["p"] + LENGTH * x["v"], "v": x["v"] + LENGTH * u["u"]}
+        return after, (u["u"], corrected["u"], controller.gains["u"])
+
+    outside, inside, x, rows = full(regulator()), full(regulator()), {"p": 1.0, "v": 0.5}, []
+    for weight in weights:
+        x, row = step(outside, x, weight)
+        rows.append(row)
+    run = jax.jit(lambda x: jax.lax.scan(functools.partial(step, inside), x, weights))
+    end, columns = run({"p": jnp.array(1.0), "v": jnp.array(0.5)})
+    for column, expected in zip(columns, zip(*rows, strict=True), strict=True):
+        np.testing.assert_allclose(column, np.stack(expected), atol=1e-12)
+    assert len(inside.log) == len(outside.log) == 4
+    run(end)
+    assert len(inside.log) == 8
+    assert repr(inside).startswith("Controller(13 nodes, ControllerLog(8 calls: 8 SOLVED")
+    with pytest.raises(tx.InputError, match="a value for every state: 'p', 'v'"):
+        jax.jit(lambda p: inside.feedback({"p": p}))(1.0)
+    with pytest.raises(tx.ShapeError, match=r"x\['p'\] expects shape \(\), got \(2,\)"):
+        jax.jit(lambda p: inside.feedback({"p": p, "v": 0.0}))(jnp.ones(2))

@@ -17,6 +17,12 @@ wedge = tx.view.Mesh((corners, [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]))
 hull = tx.view.Mesh("hull.stl", scale=0.001)  # a file in mm, read when it is drawn
 wedge.mesh()[1].shape
 
+# tx.testing.check_gradients
+x, v = tx.State("x"), tx.State("v")
+pendulum = tx.compile(tx.System(rates={x: v, v: -9.81 * tx.Sin(x)}))
+end = lambda start: tx.integrate(pendulum, start, t1=1.0, dt=0.1).last
+tx.testing.check_gradients(end, {"x": 0.3, "v": 0.0})  # raises LawError if a derivative is wrong
+
 # tx.testing.LawError
 try:
     tx.testing.check_tableau(tx.tableaus.ButcherTableau("wrong", 2, [[0.0, 0.0], [1.0, 0.0]], [0.5, 0.5], [0.0, 1.0]))

@@ -18,7 +18,7 @@ from .fields import freeze
 from .kinds import rules
 from .kinds.declared_values import boundary_value, chosen_values, group_of, shape_of
 from .kinds.kinds import Kind, declared
-from .kinds.unit import Unit, common_unit
+from .kinds.unit import Unit, common_unit, units_in
 from .node import Expr, Shape
 from .printing.text import matrix_latex, name_latex, number_latex
 from .spellings import Bounded, refuse_in_jax
@@ -58,6 +58,18 @@ class Leaf(Expr):
         fields |= {what: value for what, value in facts.items() if value is not None}
         self.__dict__.update(name=name, _shape=shape, **fields)
         self._seal()
+
+    def _check_units(self, **values: Any) -> None:
+        """Raise ModelError for a quantity of `tx.units` in another unit than the declared one."""
+        if self.unit is None or (self.kind is not None and self.kind.space is not None):
+            return
+        for what, value in values.items():
+            for unit in units_in(value):
+                if unit != self.unit:
+                    raise ModelError(
+                        f"{self.name!r} is declared in {self.unit}, but {what}= is in {unit}.\n"
+                        f"  fix: give {what}= in {self.unit}, or correct unit="
+                    )
 
     @property
     def declares(self) -> bool:
@@ -110,6 +122,7 @@ class Constant(Leaf):
         if unit is None and kind is None:
             unit = common_unit(value)
         self._declare("constant", array.shape, value=array, kind=kind, unit=unit)
+        self._check_units(value=value)
         if isinstance(value, numbers.Integral):
             self.__dict__["_whole"] = True
 
@@ -245,6 +258,12 @@ class State(Variable):
         }
         choice = chosen_values(name, group, min, max, guess, scale)
         self._declare(name, group.shape, group=group, **ends, **choice, kind=kind, unit=unit)
+        if group.rigid and self.kind is not None and group.shape not in self.kind.shapes:  # no stack of quaternions
+            raise ModelError(
+                f"{name!r} is on {group.name}, got kind={self.kind}.\n  fix: tx.kinds.Pose(...) on SE3, "
+                "tx.kinds.Rotation(...) on SO3"
+            )
+        self._check_units(initial=initial, final=final, min=min, max=max, guess=guess, scale=scale)
 
     def replace(self, **changes: Any) -> State:
         # The group of a Euclidean state follows from its shape; shape and order of another from its group.
@@ -296,6 +315,7 @@ class Control(Variable):
     ) -> None:
         group = Euclidean(shape_of(name, shape))
         self._declare(name, group.shape, **chosen_values(name, group, min, max, guess, scale), kind=kind, unit=unit)
+        self._check_units(min=min, max=max, guess=guess, scale=scale)
 
     def read(self, inputs: Inputs) -> jax.Array:
         return inputs.u[self.name]
@@ -329,12 +349,14 @@ class Parameter(Leaf):
     ) -> None:
         if unit is None and kind is None:
             unit = common_unit(value)
+        default = value
         if value is not None:
             value = reals(f"{name!r}: value", value, ModelError).astype(np.float64)
         shape = shape_of(name, shape if shape is not None else np.shape(value) if value is not None else ())
         if value is not None and value.shape != shape:
             raise ShapeError(f"{name!r}: value expects shape {shape}, got {value.shape}")
         self._declare(name, shape, value=value, kind=kind, unit=unit)
+        self._check_units(value=default)
 
     def read(self, inputs: Inputs) -> jax.Array:
         if self.name in inputs.params:

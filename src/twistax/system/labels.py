@@ -6,9 +6,12 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, TypeAlias
 
+import numpy as np
+
 from ..checks import listed, short
 from ..errors import ModelError
-from ..expr import Leaf
+from ..expr import Expr, Leaf, State, postorder
+from ..groups import Order
 
 #: Of a leaf: a pair of name and unit for each entry, row by row.
 Labels: TypeAlias = Mapping[Any, Iterable[Sequence[str]]]
@@ -36,3 +39,31 @@ def checked_labels(labels: Labels | None, leaves: Iterable[Leaf]) -> dict[str, t
             )
         checked[name] = tuple((label, unit) for label, unit in entries)
     return checked
+
+
+def declared_labels(system: Any) -> dict[str, tuple[tuple[str, str], ...]]:
+    """Labels of the states and controls that declare a unit, or the kind of a six-vector, and have no labels."""
+    linear = linear_places(system.states, system.rates.values())
+    labels = dict[str, tuple[tuple[str, str], ...]]()
+    for leaf in (*system.states, *system.controls):
+        flat = not isinstance(leaf, State) or leaf.group.flat
+        if leaf.name in system.labels or leaf.unit is None or not flat:
+            continue
+        units = [leaf.unit.text or str(leaf.unit)] * math.prod(leaf.shape)
+        if leaf.kind is not None and leaf.kind.space is not None:
+            if linear is None or leaf.kind.halves is None or leaf.unit != type(leaf.kind).unit:
+                continue
+            units = [leaf.kind.halves[k % 6 not in linear] for k in range(len(units))]
+        places = [", ".join(map(str, place)) for place in np.ndindex(*leaf.shape)] if leaf.shape else [""]
+        names = [f"{leaf.name}[{place}]" if place else leaf.name for place in places]
+        labels[leaf.name] = tuple(zip(names, units, strict=True))
+    return labels
+
+
+def linear_places(states: Iterable[State], roots: Iterable[Expr]) -> range | None:
+    """Which entries of six-vectors are linear; None where nothing says in which order they are."""
+    orders = [state.order for state in states] + [getattr(node, "order", None) for node in postorder(*roots)]
+    for order in orders:
+        if isinstance(order, Order):
+            return range(3) if order.linear_leads else range(3, 6)
+    return None

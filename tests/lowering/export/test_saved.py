@@ -7,6 +7,7 @@ import json
 import os
 import pickle
 import zipfile
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +68,22 @@ def test_a_system_comes_back(tmp_path: Path) -> None:
     for family in ("__call__", "outputs", "constraints"):
         one, other = (getattr(d, family)(0.3, x, u) for d in (dynamics, loaded))
         jax.tree.map(np.testing.assert_array_equal, one, other)
+
+
+def test_kinds_and_units_come_back(tmp_path: Path) -> None:
+    g = tx.State("g", group=tx.SE3, kind=tx.kinds.Pose("world", "body"))
+    V = tx.State("V", (6,), kind=tx.Twist("body", of="craft", relative_to="world"))
+    F, k = tx.Control("F", (3,), kind=tx.FreeVector("world"), unit="N"), tx.Parameter("k", value=2.0, unit="1/s")
+    h = tx.kinds.declare(g[2, 3] * 2, unit=tx.kinds.Unit.of("m") ** 1)
+    root = tx.Parameter("root", value=1.0, unit=tx.kinds.Unit.of("m") ** Fraction(1, 2))
+    system = tx.System(rates={g: V, V: -k * V}, outputs={"h": h, "F": g[:3, :3].T @ F, "root": root})
+    dynamics = tx.compile(system)
+    loaded = again(dynamics, tmp_path)
+    assert str(loaded.explain(kinds=True)) == str(dynamics.explain(kinds=True))
+    assert loaded.system.states[1].kind == V.kind
+    push = tx.Parameter("push", value=1.0, unit="kg")
+    with pytest.raises(tx.KindError, match="kg"):
+        tx.join(loaded.system, connect={"k": push}, outputs={"sum": loaded.system.output("h") + push})
 
 
 def test_values_that_change_after_compiling_are_not_saved(tmp_path: Path) -> None:

@@ -40,6 +40,8 @@ class Kind:
     unit: ClassVar[Unit | None] = None
     #: The space of each axis of length six.
     space: ClassVar[Space | None] = None
+    #: The usual units of the linear and of the angular part of a six-vector.
+    halves: ClassVar[tuple[str, str] | None] = None
 
     def __str__(self) -> str:
         names = [repr(getattr(self, field.name)) for field in dataclasses.fields(self) if getattr(self, field.name)]
@@ -108,6 +110,7 @@ class Twist(_OfSix):
     relative_to: str = ""
     unit = ONE / SECOND
     space = Space.MOTION
+    halves = ("m/s", "rad/s")
 
     def bodies(self) -> Bodies:
         known = {self.of: 1, self.relative_to: -1}
@@ -131,6 +134,7 @@ class Wrench(_OfSix):
     on: str = ""
     unit = JOULE
     space = Space.FORCE
+    halves = ("N", "N m")
 
     def bodies(self) -> Bodies:
         return Acts(self.on) if self.on else None
@@ -151,6 +155,7 @@ class Momentum(_OfSix):
 
     unit = JOULE * SECOND
     space = Space.FORCE
+    halves = ("N s", "N m s")
 
 
 @dataclasses.dataclass(frozen=True)

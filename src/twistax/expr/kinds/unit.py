@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
+from collections.abc import Iterator
 from fractions import Fraction
 from typing import Any
 
@@ -19,11 +20,13 @@ class Unit:
 
     Attributes:
         exponents: the powers, whole numbers or fractions.
+        text: the unit as it was declared, "rad/s" for 1/s; units with other texts are equal.
     Raises: ModelError in `Unit.of` for an unknown unit.
     Example: `tx.kinds.Unit.of("N m")`.
     """
 
     exponents: tuple[Fraction | int, ...] = (0,) * len(_BASE)
+    text: str = dataclasses.field(default="", compare=False)
 
     @staticmethod
     def of(text: str) -> Unit:
@@ -69,13 +72,24 @@ _NAMES = {
     "Pa": NEWTON / METRE**2,
     "Hz": ONE / SECOND,
 }
+_TURNS = (ONE, ONE / SECOND)
 _FACTOR = re.compile(r"(1|[A-Za-z]+)\^?\*{0,2}(-?\d+)?$")
 
 
 def unit_of_quantity(quantity: Quantity) -> Unit:
     """The unit of a quantity of `tx.units`; a radian counts as 1."""
-    kilograms, metres, seconds, _, kelvins = quantity.exponents
-    return Unit((kilograms, metres, seconds, kelvins))
+    kilograms, metres, seconds, radians, kelvins = quantity.exponents
+    unit = Unit((kilograms, metres, seconds, kelvins))
+    return dataclasses.replace(unit, text="rad" if unit == ONE else "rad/s") if radians and unit in _TURNS else unit
+
+
+def units_in(value: Any) -> Iterator[Unit]:
+    """The units of all quantities in a value or in nested lists of values."""
+    if isinstance(value, Quantity):
+        yield unit_of_quantity(value)
+    elif isinstance(value, (list, tuple)):
+        for entry in value:
+            yield from units_in(entry)
 
 
 def common_unit(value: Any) -> Unit | None:
@@ -115,4 +129,4 @@ def parsed(name: str, unit: Any) -> Unit:
                 )
             power = int(match[2] or 1)
             total *= _NAMES[match[1]] ** (-power if place else power)
-    return total
+    return dataclasses.replace(total, text=unit.strip())

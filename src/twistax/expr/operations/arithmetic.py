@@ -322,9 +322,9 @@ class MatMul(Expr):
             )
         inner = right[-2] if len(right) > 1 else right[0]
         if left[-1] != inner:
-            raise ShapeError(
-                f"MatMul incompatible shapes: {left} @ {right}", hint=f"{left[-1]} columns meet {inner} rows"
-            )
+            point = "; tx.lie.Act(T, p) transforms the point p by the pose T" if (left, inner) == ((4, 4), 3) else ""
+            hint = f"{left[-1]} columns meet {inner} rows{point}"
+            raise ShapeError(f"MatMul incompatible shapes: {left} @ {right}", hint=hint)
         stack = broadcast(self, left[:-2], right[:-2])
         return stack + (left[-2:-1] if len(left) > 1 else ()) + (right[-1:] if len(right) > 1 else ())
 

@@ -18,6 +18,7 @@ from ...jax_inside import is_traced
 from ...plots import Pictured, draw
 from ...progress import watching
 from ...system.dynamics import Arrays
+from ...system.labels import declared_labels
 from ..loop.rollout import wide
 from ..results.solution import AnySolution, Solution, Stats, need_one, need_within, times_to_evaluate
 from ..results.table_export import Column, columns_of
@@ -135,7 +136,8 @@ class PhasedSolution(AnySolution):
         def pieces(name: str) -> list[tuple[Any, Any]]:
             return [(np.asarray(part.ts), np.asarray(part.xs[name])) for part in parts]
 
-        return draw(Pictured(list(self.xs), [], pieces, {} if system is None else system.labels, units).panels(names))
+        labels, declared = ({}, {}) if system is None else (system.labels, declared_labels(system))
+        return draw(Pictured(list(self.xs), [], pieces, labels, units, declared).panels(names))
 
     def show(self, path: Any = None, **choices: Any) -> Scene:
         """An animation of all phases in three dimensions, with the states that all have; see `Solution.show`.

@@ -20,6 +20,7 @@ from ...jax_inside import is_traced
 from ...plots import Pictured, draw
 from ...progress import watching
 from ...system.dynamics import Arrays
+from ...system.labels import declared_labels
 from ...units import same_unit, seconds
 from ..charts.coordinates import Blocks
 from ..events.crossings import CrossingRows
@@ -296,22 +297,26 @@ class Solution(AnySolution):
         Args:
             names: names of the states, outputs and joints to draw, such as `plot("rpm", "panel")`; all states by
                 default.
-            units: units by name, such as {"v": "m/s"}; the default is "SI", and "m" for positions. For a mechanism,
-                {"qd": "rpm"} or {"panel": "deg"} converts from rad and rad/s, m and m/s.
+            units: units by name, such as {"v": "m/s"}; the default is the declared unit, else "SI", and "m" for
+                positions. If the unit is known, {"qd": "rpm"} or {"panel": "deg"} converts from rad and rad/s, m and
+                m/s.
         Raises:
-            InputError: an unknown name; a single saved time; a traced or batched solution.
+            InputError: an unknown name, a unit of another quantity than the declared one, a single saved time, or a
+                traced or batched solution.
             ModelError: matplotlib is not installed.
         """
         need_one("plot", self)
         if len(self.ts) < 2:
             raise InputError("plot expects two saved times or more, got one.\n  fix: tx.integrate(..., save_at=times)")
         ts, system = np.asarray(self.ts), None if self.stepper is None else self.stepper.dynamics.system
-        outputs, labels = ([], {}) if system is None else (list(system.outputs), system.labels)
+        outputs, labels, declared = (
+            ([], {}, {}) if system is None else (list(system.outputs), system.labels, declared_labels(system))
+        )
 
         def pieces(name: str) -> list[tuple[Any, Any]]:
             return [(ts, np.asarray(self.xs[name] if name in self.xs else self.outputs[name]))]
 
-        return draw(Pictured(list(self.xs), outputs, pieces, labels, units).panels(names))
+        return draw(Pictured(list(self.xs), outputs, pieces, labels, units, declared).panels(names))
 
     def show(self, path: Any = None, **choices: Any) -> Scene:
         """The motion in three dimensions: an animation in one HTML file that needs no network, with a time slider.

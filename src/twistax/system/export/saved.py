@@ -19,6 +19,7 @@ import sys
 import zipfile
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,7 @@ from numpy.typing import NDArray
 from ...checks import path_of
 from ...errors import InputError, ModelError, TwistaxError
 from ...expr import Constant, Expr, Leaf
+from ...expr.graph import FACTS
 from ...expr.moved import first_module, module_now
 from ...expr.node import node_classes
 from ...groups import ANGULAR_FIRST, LINEAR_FIRST, SE3, SO3, Group
@@ -54,13 +56,17 @@ _ON_DEMAND = tuple(
     )
 )
 #: Where the values of fields are defined that are no groups and no backends.
-_VALUES = (f"{_PACKAGE}.expr.tables.kinds", f"{_PACKAGE}.groups.special", *_ON_DEMAND)
+_OF_FIELDS = ("expr.kinds.kinds", "expr.kinds.unit", "expr.tables.kinds", "groups.special")
+_VALUES = (*(f"{_PACKAGE}.{name}" for name in _OF_FIELDS), *_ON_DEMAND)
 #: Bytes that the members of an archive may have in all. A file of a few kB could say that it has any number.
 _LARGEST = 2**30
 #: Values of which there is one object.
 _KNOWN: tuple[Any, ...] = (LINEAR_FIRST, ANGULAR_FIRST, SO3, SE3)
 _FAMILIES, _LEAVES = ("rates", "outputs", "constraints", "corrections"), ("states", "controls", "parameters")
 _SHAPE, _ORIGIN = "_shape", "_folded_from"
+#: What the check of kinds reads of a leaf, and the names of all that only some nodes have.
+_KINDS = ("kind", "unit", "_whole")
+_OPTIONAL = (_SHAPE, _ORIGIN, *_KINDS, *FACTS)
 
 
 # ---- files -----------------------------------------------------------------------------------------------------------
@@ -246,7 +252,7 @@ def read_nodes(written: Sequence[Any], arrays: list[NDArray[Any]]) -> list[Expr]
             raise _unknown_class(named)
         values = {name: _value(value, arrays, nodes) for name, value in fields.items()}
         declared = {field.name for field in cls._fields}
-        if declared != {name for name in values if name not in (_SHAPE, _ORIGIN)}:
+        if declared != {name for name in values if name in declared or name not in _OPTIONAL}:
             raise ModelError(
                 f"{cls.__name__} has the fields {sorted(declared)}, but in the file {sorted(values)}.\n"
                 "  fix: load it with the version that saved it"
@@ -260,6 +266,8 @@ def _fields(node: Expr) -> dict[str, Any]:
     fields = {field.name: getattr(node, field.name) for field in type(node)._fields}
     if isinstance(node, Leaf):
         fields[_SHAPE] = node.shape
+    facts = (*FACTS, *_KINDS) if isinstance(node, Leaf) else FACTS
+    fields |= {name: node.__dict__[name] for name in facts if name in node.__dict__}
     if isinstance(node, Constant) and node.folded_from is not None:
         fields[_ORIGIN] = node.folded_from
     return fields
@@ -288,6 +296,8 @@ def _written(value: Any, where: str, arrays: list[NDArray[Any]], places: dict[in
 
     if value is None or isinstance(value, (bool, str)) or type(value) is int:
         return value
+    if isinstance(value, Fraction):
+        return {"fraction": str(value)}
     if isinstance(value, float):
         return float(value) if math.isfinite(value) else {"float": repr(float(value))}
     if value is Ellipsis:
@@ -325,6 +335,8 @@ def _value(written: Any, arrays: Sequence[NDArray[Any]], nodes: Sequence[Expr]) 
     match kind:
         case "float":
             return float(content)
+        case "fraction":
+            return Fraction(content)
         case "ellipsis":
             return Ellipsis
         case "node" | "array":

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from fractions import Fraction
 from typing import Any
 
@@ -14,8 +14,8 @@ from ...expr import Expr, Leaf, State, declares, leaves_of, postorder
 from ...expr.kinds.inference import Inference, infer_kinds
 from ...expr.kinds.kinds import Space
 from ...expr.kinds.unit import METRE, ONE, SECOND, Unit, parsed
-from ...groups import Order
 from ..functions import Functions
+from ..labels import linear_places
 from .functions import UnitFunctions
 
 
@@ -64,7 +64,7 @@ class VariableList:
         roots |= {f"outputs[{name!r}]": expr for name, expr in system.outputs.items()}
         has_kinds = any(map(declares, postorder(*roots.values())))
         self._known = infer_kinds(roots, rates, list(leaves_of(*roots.values()))) if has_kinds else None
-        self._linear = _linear_places(system.states, roots.values())
+        self._linear = linear_places(system.states, roots.values())
         self.all = [UnitVariable("time", SECOND, 0, "independent", "continuous")]
         x, u, p = starts
         states = [entry for state in functions.states for entry in self._of_state(state)]
@@ -126,15 +126,6 @@ class VariableList:
             if k in self._linear:
                 unit = unit * METRE if space is Space.MOTION else unit / METRE
         return unit
-
-
-def _linear_places(states: Iterable[State], roots: Iterable[Expr]) -> range | None:
-    """Which entries of six-vectors are linear; None where nothing says in which order they are."""
-    orders = [state.order for state in states] + [getattr(node, "order", None) for node in postorder(*roots)]
-    for order in orders:
-        if isinstance(order, Order):
-            return range(3) if order.linear_leads else range(3, 6)
-    return None
 
 
 def _unit_of(text: str) -> Unit | None:

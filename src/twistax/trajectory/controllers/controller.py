@@ -26,6 +26,7 @@ from .barrier import BARRIER_LEAST, BARRIER_MOST, BARRIER_SHARE
 from .export import MEMORY, write_controller
 from .first_node import FirstNode
 from .gains import Gains
+from .in_programs import in_order
 from .log import ControllerLog, StepRecord
 from .plan_units import PlanUnits
 from .requirements import need_controllable, need_shiftable
@@ -49,7 +50,8 @@ class Controller:
     With `max_iterations=100` it is a full solve, which ends early after `max_seconds`.
 
     A controller has its own memory, so different controllers may run in different threads; the solve itself does not
-    hold Python's lock. One controller serves one thread at a time.
+    hold Python's lock. One controller serves one thread at a time. In `jax.jit` and `jax.lax.scan` the calls are host
+    callbacks in the order of the program, without derivatives.
 
     Args:
         problem: of one phase, with piecewise constant controls and a fixed initial state.
@@ -137,8 +139,12 @@ class Controller:
             if control.name in user:
                 self.controls[control.name] = (self.part.shooting.local.controls.slices[control.name], control.shape)
 
+    def __repr__(self) -> str:
+        return f"Controller({self.part.nodes} nodes, {self.log!r})"
+
     # ---- prepare, feedback, shift -----------------------------------------------------------------------------------
 
+    @in_order()
     def prepare(
         self,
         params: Mapping[Any, Any] | None = None,
@@ -214,6 +220,7 @@ class Controller:
         for bound, side in ((self.prepared.lower, low), (self.prepared.upper, high)):
             bound[places] = np.broadcast_to(side, (intervals, *shape)).reshape(intervals, -1)
 
+    @in_order(lambda self: self._shapes(), lambda self, x: self._node.named(x))
     def feedback(self, x: Mapping[Any, Any]) -> Values:
         """The controls for a measured state: a few iterations of the solver from the last plan.
 
@@ -247,6 +254,7 @@ class Controller:
         self.log.append(record)
         return self._first_controls()
 
+    @in_order()
     def shift(self) -> None:
         """Shift the plan by one interval: its second node is the first one of the next solve.
 
@@ -283,6 +291,9 @@ class Controller:
         """The units that the solver uses."""
         return self._plan_units.units
 
+    def _shapes(self, *more: int) -> dict[str, tuple[int, ...]]:
+        return {name: (*shape, *more) for name, (_, shape) in self.controls.items()}
+
     def _first_controls(self) -> Values:
         here = self.prepared.z[self._node.size :]
         return {name: here[columns].reshape(shape).copy() for name, (columns, shape) in self.controls.items()}
@@ -290,6 +301,7 @@ class Controller:
     # ---- between two solves -----------------------------------------------------------------------------------------
 
     @property
+    @in_order(lambda self: self._shapes(self._node.n))
     def gains(self) -> Values:
         """Derivatives of the first controls with respect to the measured state: control name -> (*shape, n).
 
@@ -305,6 +317,7 @@ class Controller:
         columns = self._gains(n)
         return {name: columns[part].reshape(*shape, n) for name, (part, shape) in self.controls.items()}
 
+    @in_order(lambda self: self._shapes(), lambda self, x: self._node.named(x))
     def correct(self, x: Mapping[Any, Any]) -> Values:
         """The first controls, corrected for a newer state by the gains; use it between two solves.
 

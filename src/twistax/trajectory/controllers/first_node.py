@@ -40,6 +40,16 @@ class FirstNode:
         self._flat = all(state.group.flat for state in dynamics.states)
         self._gap = staged.parts[0].phase.kernels.gap.kernels[0]
 
+    def named(self, x: Mapping[Any, Any]) -> dict[str, Any]:
+        """Traced values of all states by name. Raises InputError, ShapeError: a missing state or another shape."""
+        values = {name_of(key): value for key, value in x.items()} if isinstance(x, Mapping) else {}
+        if values.keys() != self._states.keys():
+            raise InputError(f"feedback expects a value for every state: {listed(self._states)}; got {short(x)}")
+        for name, (_, _, shape, _) in self._states.items():
+            if np.shape(values[name]) != shape:
+                raise ShapeError(f"feedback: x[{name!r}] expects shape {shape}, got {np.shape(values[name])}")
+        return values
+
     def read(self, x: Mapping[Any, Any]) -> Array:
         """A measured state as a point.
 

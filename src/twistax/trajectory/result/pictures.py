@@ -14,6 +14,7 @@ from ...expr import Control, State
 from ...jax_inside import in_double
 from ...plots import Panel, chosen, draw, panels
 from ...progress import watching
+from ...system.labels import declared_labels
 
 if TYPE_CHECKING:
     from ...view import Scene
@@ -35,7 +36,9 @@ def drawn(
     systems = [part.problem.phase.dynamics for part in parts]
     leaves: dict[str, Any] = {e.name: e for system in systems for e in (*system.states, *system.controls)}
     there = [name for name in leaves if any(name in part.xs or name in part.us for part in parts)]
-    labels = {name: pairs for system in systems for name, pairs in system.system.labels.items()}
+    labels: dict[str, Any] = {}
+    for dynamics in systems:
+        labels |= declared_labels(dynamics.system) | dynamics.system.labels
     shown_panels = [
         panel
         for name in chosen(names, there, units) or there

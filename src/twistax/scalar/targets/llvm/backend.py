@@ -184,7 +184,7 @@ class KernelRunner:
             return None
         closed = pure(function, shapes)
         if closed is None:
-            return "it has effects, random keys or more than 1,000 numbers of its own"
+            return "it has effects, random keys or more than 1,000 constants: pass weights as a tx.ParameterTree"
         try:
             native_form(_XLA.scalarised(closed))
         except (NotNative, TooLarge) as error:
