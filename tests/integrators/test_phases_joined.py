@@ -253,7 +253,7 @@ def test_dense_phases_are_known_everywhere() -> None:
         ([{}], None, {}, "phase 0: a phase expects duration or t1, got neither"),
         ([{"duration": 1.0, "t1": 2.0}], None, {}, "got both"),
         ([{"duration": -1.0}], None, {}, "phase 0: the phase ends at -1, before its start"),
-        ([{"duration": 1.0}] * 2, [], {}, "links expects a list of 1"),
+        ([{"duration": 1.0}] * 2, [], {}, "links expects a list of length 1"),
         ([{"duration": 1.0}] * 2, [{"w": 1.0}], {}, r"links\[0\] names 'w'"),
         ([{"duration": 1.0}] * 2, [{v: tx.Control("F")}], {}, "reads Control 'F'"),
         ([{"duration": 1.0}] * 2, [{v: np.ones(3) * h}], {}, r"expects shape \(\)"),

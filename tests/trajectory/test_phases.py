@@ -238,7 +238,7 @@ BAD: list[tuple[Any, dict[str, Any], type[Exception], str]] = [
     ([{}], {}, tx.ModelError, "the objectives of all phases must be of one kind"),
     ([{"objective": tx.Minimize(tx.Time())}, {"objective": tx.Maximize(tx.Time())}], {}, tx.ModelError, "Maximize"),
     ([{"objective": tx.Minimize(tx.Time()), "nodes": 1, "name": "up"}], {}, tx.TrajectoryError, "up: nodes"),
-    ([{"objective": tx.Minimize(tx.Time())}], {"links": [{}]}, tx.ModelError, "links expects a list of 0"),
+    ([{"objective": tx.Minimize(tx.Time())}], {"links": [{}]}, tx.ModelError, "links expects a list of length 0"),
     ([{"objective": tx.Minimize(tx.Time())}, {}], {"links": [{"q": 0.0}]}, tx.ModelError, "'q'"),
     ([{"objective": tx.Minimize(tx.Time())}, {}], {"links": [{"p": [1.0, 2.0]}]}, tx.ShapeError, "'p'"),
     ([{"objective": tx.Minimize(tx.Time())}, {}], {"links": [{"p": tx.State("q")}]}, tx.ModelError, "'q'"),

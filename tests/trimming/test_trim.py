@@ -220,7 +220,7 @@ def test_python_control_takes_a_linearisation() -> None:
     [
         ({"free": ["ele"], "zero": ["V"]}, r"free names 'ele', .*did you mean 'el'"),
         ({"free": [], "zero": ["V"]}, "at least one free state"),
-        ({"free": ["el"]}, "expects a condition"),
+        ({"free": ["el"]}, "expects at least one condition"),
         ({"free": ["el"], "zero": ["V[6]"]}, "entries 0 to 5 of 'V'"),
         ({"free": ["V", "V[2]"], "zero": ["V"]}, "twice"),
         ({"free": ["el"], "fixed": {"speed": [1.0, 2.0]}}, r"fixed\['speed'\] expects 1 finite"),
