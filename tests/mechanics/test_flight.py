@@ -263,7 +263,7 @@ def test_at_a_pole_local_axes_have_no_rate(pole: float) -> None:
     np.testing.assert_allclose(at(craft, craft.rate(flight.fixed_axes), state), np.zeros(3), atol=1e-18)
     rate = tx.lower(craft.rate(flight.local_axes))
     assert np.isnan(rate(0.0, state)).any()
-    assert np.isnan(jax.jit(jax.jacfwd(lambda g: rate(0.0, {**state, "g": g})))(state["g"])).any()
+    assert np.isnan(jax.jacfwd(lambda g: rate(0.0, {**state, "g": g}))(state["g"])).any()
     assert np.isnan(rate(0.0, {name: value.astype(np.float32) for name, value in state.items()})).any()
     # A micrometre off, at 50 m/s eastward, they turn once in 1.3e-7 s.
     rho = float(craft.start(np.sign(pole) * (np.pi / 2 - 1e-6 / 6.4e6), 0.3, 3e3)["g"][0, 3]) / np.cos(0.3)

@@ -56,9 +56,9 @@ def test_momentum_and_energy_are_those_of_the_points() -> None:
         },
         tree.inputs(qd=qd),
     )
-    masses = tree.points(jnp.zeros(robot.dofs))[0]
-    moving = jax.jit(lambda qd: jax.jvp(lambda d: tree.points(d)[1], (0.0 * qd,), (qd,)))
-    places, velocities = map(np.asarray, moving(qd))
+    masses, places = map(np.asarray, tree.points(jnp.zeros(robot.dofs)))
+    _, velocities = jax.jvp(lambda d: tree.points(d)[1], (jnp.zeros(robot.dofs),), (jnp.asarray(qd),))
+    velocities = np.asarray(velocities)
     center, carried = masses @ places / masses.sum(), masses[:, None] * velocities
     expected = np.concatenate([carried.sum(axis=0), np.cross(places - center, carried).sum(axis=0)])
     np.testing.assert_allclose(found["center"], center, rtol=1e-12)
@@ -88,7 +88,7 @@ def test_frames_move_as_their_jacobians_say() -> None:
     found = {name: own[0] for name, own in three.items()}
     differences = {name: (own[1] - own[2]) / (2.0 * step) for name, own in three.items()}
     zero = jnp.zeros(robot.dofs)
-    at = jax.jit(tree.poses)(zero)
+    at = tree.poses(zero)
     np.testing.assert_allclose(found["pose"], at["tool"], atol=1e-13)
     np.testing.assert_allclose(found["hinge"], np.linalg.inv(at["tool"]) @ at["hinge"], atol=1e-12)
 
@@ -102,8 +102,8 @@ def test_frames_move_as_their_jacobians_say() -> None:
         return {"body": turned, "world": world, "aligned": aligned}
 
     for frame in ("tool", "hinge"):
-        ours = functools.partial(twists, frame=frame)
-        V, rate = jax.jit(lambda qd, qdd, ours=ours: jax.jvp(ours, (0.0 * qd, qd), (qd, qdd)))(qd, qdd)
+        ours = jax.jit(functools.partial(twists, frame=frame))
+        V, rate = jax.jvp(ours, (zero, jnp.asarray(qd)), (jnp.asarray(qd), jnp.asarray(qdd)))
         for name in kinds:
             J = found[f"{frame} J {name}"]
             np.testing.assert_allclose(J @ qd, V[name], rtol=1e-11, atol=1e-11)
@@ -159,9 +159,9 @@ def test_wrench_of_a_joint_is_what_its_bodies_need() -> None:
     masses = np.concatenate([c.masses for joint, _, _, c in tree.plan if joint.name in ("ball", "screw", "tool") and c])
     zero = jnp.zeros(robot.dofs)
     velocity = lambda d, rate: jax.jvp(beyond, (d,), (rate,))[1]  # noqa: E731
-    acceleration = jax.jit(lambda qd, qdd: jax.jvp(velocity, (0.0 * qd, qd), (qd, qdd))[1])(qd, qdd)
+    _, acceleration = jax.jvp(velocity, (zero, jnp.asarray(qd)), (jnp.asarray(qd), jnp.asarray(qdd)))
     force = masses[:, None] * (np.asarray(acceleration) - GRAVITY)
-    places, T = map(np.asarray, jax.jit(lambda d: (beyond(d), tree.poses(d)["ball"]))(zero))
+    places, T = np.asarray(beyond(zero)), np.asarray(tree.poses(zero)["ball"])
     np.testing.assert_allclose(
         found["base"], np.concatenate([force.sum(axis=0), np.cross(places, force).sum(axis=0)]), rtol=1e-10, atol=1e-9
     )
