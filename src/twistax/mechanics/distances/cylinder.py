@@ -68,7 +68,7 @@ def _depth(radius: float, height: float, core: Core, T: jax.Array) -> jax.Array:
     e = (end - start) / jnp.sqrt(jnp.sum((end - start) ** 2, axis=1))[:, None]
     e = jnp.concatenate([e, e])
     q = jnp.concatenate([start - height * z[None], start + height * z[None]])
-    tried = rim_normals(*map(jax.lax.stop_gradient, (q, e)), z[None], constant(radius))
+    tried = rim_normals(jax.lax.stop_gradient(q), jax.lax.stop_gradient(e), z[None], constant(radius))
     best = jnp.argmax(jax.lax.stop_gradient(gap(tried.reshape(-1, 3))))
     n = turned(tried.reshape(-1, 3)[best], e[best // 2], q[best // 2], z, radius)
     return jnp.maximum(of_faces, gap(n[None]))[0]
