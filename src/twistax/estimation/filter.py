@@ -158,8 +158,7 @@ class Filter(ABC):
         Args:
             P: (n, n) covariance in the tangent space at x; or a number or (n,) for a diagonal one.
             h: s.
-        Raises:
-            InputError, ShapeError: the errors of a call of the dynamics; a covariance of another shape; a negative h.
+        Raises: InputError, ShapeError: the errors of a call of the dynamics; another shape of P; a negative h.
         """
         length = number("h", h, "a finite number of s that is not negative", lambda h: 0.0 <= h < np.inf)
         point = self._point(t, x, u, params, True, ())
@@ -170,8 +169,7 @@ class Filter(ABC):
     ) -> Update:
         """The estimate after the value z of a measurement at time t; unchanged if z is not finite. Traceable.
 
-        Raises:
-            InputError, ShapeError: the errors of a call of the dynamics; an unknown measurement; a value not of its group.
+        Raises: InputError, ShapeError: the errors of a call; an unknown measurement; a value not of its group.
         """
         known = self.model.measurements
         if name not in known:
