@@ -1,5 +1,6 @@
 """Verdicts on covariances, and what the data cannot tell."""
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -70,6 +71,15 @@ def test_a_filter_with_the_wrong_noise_is_found_out(told: float, verdict: Verdic
     assert run.innovation_consistency("y").verdict is verdict
     one = jax.tree.map(lambda a: a[0], run)
     assert one.consistency({"x": truth["x"][0]}).verdict is Verdict.UNDECIDED
+
+
+def test_a_run_that_failed_has_no_verdict() -> None:
+    """Without its errors the others would look consistent, whatever happened to it."""
+    run, truth = simulated(0.5)
+    failed = dataclasses.replace(run, P=run.P.at[7, 20:].set(np.nan))
+    for verdict in (lambda: failed.consistency(truth), lambda: failed.innovation_consistency("y")):
+        with pytest.raises(tx.EstimationError, match=r"not finite at t = 2\.1 s of run 7"):
+            verdict()
 
 
 @pytest.mark.slow

@@ -47,6 +47,40 @@ def test_a_measurement_has_the_group_of_its_value() -> None:
     assert tx.Measurement("gps", g[:3, 3], covariance=1.0).group == tx.Euclidean((3,))
 
 
+def test_values_of_a_group_are_checked() -> None:
+    """A matrix of zeros is no pose, and one of NaN is a missing measurement."""
+    kalman = ErrorStateKalman(DYNAMICS, [tx.Measurement("pose", g, covariance=1e-6)])
+    x = {"g": np.eye(4), "v": np.zeros(6)}
+    with pytest.raises(tx.InputError, match=r"update: 'pose' expects elements of SE3"):
+        kalman.update("pose", 0.0, x, 1.0, 2.0 * np.eye(4))
+    with pytest.raises(tx.InputError, match=r"records\['pose'\] expects elements of SE3"):
+        kalman.run({"pose": ([0.0, 1.0], np.stack([np.eye(4), np.zeros((4, 4))]))}, x, 1.0)
+    np.testing.assert_array_equal(kalman.update("pose", 0.0, x, 1.0, np.full((4, 4), np.nan)).P, np.eye(12))
+
+
+def test_a_prediction_goes_forward() -> None:
+    with pytest.raises(tx.InputError, match="h must be a finite number of s that is not negative, got -1"):
+        ErrorStateKalman(DYNAMICS, []).predict(0.0, {"g": np.eye(4), "v": np.zeros(6)}, 1.0, -1.0)
+
+
+def test_units_of_noise_and_measurements_are_checked() -> None:
+    """A position in m has a rate in m/s and a covariance in m2."""
+    q, T = tx.State("q", unit="m"), tx.State("T", unit="s")
+    with pytest.raises(tx.KindError, match="one unit, got m and s"):
+        tx.Measurement("y", q + T, covariance=1.0)
+    for covariance in (4.0 * tx.units.metres, tx.Parameter("R", unit="m")):
+        with pytest.raises(
+            tx.KindError, match="covariance expects the unit m2, the square of that of the value, got m"
+        ):
+            tx.Measurement("y", q, covariance=covariance)
+    with pytest.raises(tx.KindError, match="m/s"):
+        tx.System(rates={q: tx.Noise("w", density=1.0, unit="m")})
+    cart = tx.compile(tx.System(rates={q: tx.Noise("w", density=1.0, unit="m/s")}))
+    noisy = q + tx.Noise("n", density=1.0, unit="m")
+    kalman = ErrorStateKalman(cart, [tx.Measurement("y", noisy, covariance=4.0 * tx.units.metres**2, period=0.5)])
+    np.testing.assert_allclose(kalman.update("y", 0.0, {"q": 0.0}, 1.0, 0.0).S, [[7.0]], rtol=1e-14)
+
+
 INDEFINITE = np.array([[1.0, 2.0, 0.0], [2.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
 
 

@@ -105,6 +105,8 @@ def test_batches_and_single_precision() -> None:
         (lambda: IMU.integrate(GYRO, FORCE[:3], STEP), tx.ShapeError, "accelerometer"),
         (lambda: IMU.integrate(GYRO, FORCE, np.ones(3)), tx.ShapeError, "h expects"),
         (lambda: IMU.integrate(GYRO, FORCE, STEP, np.ones(3)), tx.ShapeError, "bias"),
+        (lambda: IMU.integrate(GYRO, FORCE, -STEP), tx.InputError, "h expects positive numbers of s, got -"),
+        (lambda: IMU.integrate(GYRO, FORCE * np.nan, STEP), tx.InputError, "accelerometer expects finite numbers"),
     ],
 )
 def test_bad_arguments_are_refused(call: Any, error: type[Exception], message: str) -> None:

@@ -68,7 +68,16 @@ def test_times_that_cannot_be_are_refused(options: dict[str, Any], message: str)
         run(**options)
 
 
-@pytest.mark.parametrize("covariance", [0.0, -0.5])
+def test_a_sensor_without_records_changes_nothing() -> None:
+    """Its values have the shape (0, 3, 3): as many as a record of no times."""
+    R = tx.State("R", group=tx.SO3)
+    star = tx.Measurement("star", R, covariance=1e-6)
+    kalman = ErrorStateKalman(tx.compile(tx.System(rates={R: np.zeros(3)})), [star])
+    silent = kalman.run({"star": (np.zeros(0), np.zeros((0, 3, 3)))}, {"R": np.eye(3)}, 1e-4, t0=0.0, save_at=[1.0])
+    np.testing.assert_allclose(silent.P[-1], 1e-4 * np.eye(3), rtol=1e-12)
+
+
+@pytest.mark.parametrize("covariance", [0.0, -0.5, -2.0])
 def test_a_covariance_that_is_not_positive_in_the_run_is_named(covariance: float) -> None:
     """A number is refused when the measurement is made; the value of an expression is known here."""
     variable = tx.Measurement("y", x, covariance=tx.Parameter("R"))

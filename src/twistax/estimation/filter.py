@@ -24,7 +24,7 @@ from .filter_run import FilterRun, Innovations
 from .measurement import Measurement, check_definite
 from .observability import observability
 from .process_noise import NoiseDiscretization
-from .records import Records, Timeline, controls_on, jumps_of, timeline_of
+from .records import Records, Timeline, check_elements, controls_on, jumps_of, timeline_of
 from .stochastic_model import OperatingPoint, StochasticModel
 from .update import Update
 
@@ -158,20 +158,18 @@ class Filter(ABC):
         Args:
             P: (n, n) covariance in the tangent space at x; or a number or (n,) for a diagonal one.
             h: s.
-        Raises:
-            InputError, ShapeError: the errors of a call of the dynamics; a covariance of another shape.
+        Raises: InputError, ShapeError: the errors of a call of the dynamics; another shape of P; a negative h.
         """
+        length = number("h", h, "a finite number of s that is not negative", lambda h: 0.0 <= h < np.inf)
         point = self._point(t, x, u, params, True, ())
-        return self._jitted_predict(point, self._covariance(P, point), jnp.asarray(number("h", h), point.t.dtype))
+        return self._jitted_predict(point, self._covariance(P, point), jnp.asarray(length, point.t.dtype))
 
     def update(
         self, name: str, t: Any, x: Values, P: Any, z: Any, u: Values | None = None, params: Values | None = None
     ) -> Update:
         """The estimate after the value z of a measurement at time t; unchanged if z is not finite. Traceable.
 
-        Raises:
-            InputError, ShapeError: the errors of a call of the dynamics; an unknown measurement; a value of another
-                shape.
+        Raises: InputError, ShapeError: the errors of a call; an unknown measurement; a value not of its group.
         """
         known = self.model.measurements
         if name not in known:
@@ -180,6 +178,7 @@ class Filter(ABC):
         value = real_array(f"update: {name!r}", z)
         if value.shape != known[name].group.shape:
             raise ShapeError(f"{name!r} expects shape {known[name].group.shape}, got {value.shape}")
+        check_elements(f"update: {name!r}", known[name].group, value)
         return self._jitted_update(name, point, self._covariance(P, point), jnp.asarray(value, point.t.dtype))
 
     # ---- a run -------------------------------------------------------------------------------------------------------

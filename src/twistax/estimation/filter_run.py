@@ -83,21 +83,25 @@ class FilterRun:
         for x in self.xs.values():
             values = np.asarray(x)
             finite &= np.isfinite(values).reshape(*finite.shape, -1).all(axis=-1)
-        if not finite.all():
-            row = np.argwhere(~finite)[0]
-            return f"not finite at t = {np.asarray(self.ts)[tuple(row)]:g} s"
-        definite = np.isfinite(np.asarray(self.information)).all(axis=(-2, -1))
+        prior = np.isfinite(np.asarray(self.prior_P)).all(axis=(-2, -1))
+        definite = np.isfinite(np.asarray(self.information)).all(axis=(-2, -1)) | ~prior
         if not definite.all():
-            row = np.argwhere(~definite)[0]
-            return f"covariance of a measurement not positive definite at t = {np.asarray(self.ts)[tuple(row)]:g} s"
+            return f"covariance of a measurement not positive definite {self._first(~definite)}"
+        if not finite.all():
+            return f"not finite {self._first(~finite)}"
         size = np.sqrt(np.clip(np.diagonal(P, axis1=-2, axis2=-1), 0.0, None))
         scale = np.where(size > 0.0, size, 1.0)
         least = np.linalg.eigvalsh(P / (scale[..., :, None] * scale[..., None, :]))[..., 0]
         room = 16.0 * P.shape[-1] * float(jnp.finfo(self.P.dtype).eps)
         if (least < -room).any():
-            row = np.argwhere(least < -room)[0]
-            return f"covariance not positive at t = {np.asarray(self.ts)[tuple(row)]:g} s"
+            return f"covariance not positive {self._first(least < -room)}"
         return "successful"
+
+    def _first(self, failed: np.ndarray) -> str:
+        """The time, and among several runs the run, of the first failure."""
+        *run, _ = row = np.argwhere(failed)[0]
+        of_run = f" of run {', '.join(map(str, run))}" if run else ""
+        return f"at t = {np.asarray(self.ts)[tuple(row)]:g} s{of_run}"
 
     def check(self) -> None:
         """Raise EstimationError unless the run was successful."""
@@ -139,14 +143,19 @@ class FilterRun:
         return jnp.sum(errors * jnp.linalg.solve(self.P, errors[..., None])[..., 0], axis=-1)
 
     def consistency(self, truth: Mapping[str, Any], *, level: float = 0.95, tolerance: float = 0.25) -> Consistency:
-        """The consistency test of the covariance with true states; UNDECIDED for one run. See `consistency`."""
+        """The consistency test of the covariance with true states; UNDECIDED for one run. See `consistency`.
+
+        Raises: EstimationError where a run failed, which has no errors to count. InputError, ShapeError as `errors`.
+        """
+        self.check()
         return consistency(np.asarray(self.nees(truth)), self.group.dimension, level=level, tolerance=tolerance)
 
     def innovation_consistency(self, name: str, *, level: float = 0.95, tolerance: float = 0.25) -> Consistency:
         """The consistency test with the innovations of one measurement, which needs no true states.
 
-        Raises: InputError for an unknown measurement.
+        Raises: InputError for an unknown measurement. EstimationError where a run failed.
         """
+        self.check()
         if name not in self.innovations:
             raise InputError(f"the run has the measurements {listed(self.innovations, name)}, got {name!r}")
         rows = self.innovations[name]

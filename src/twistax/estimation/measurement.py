@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from ..checks import number, reals, short
-from ..errors import ModelError, ShapeError
-from ..expr import Constant, Expr, Noise, Parameter, State, leaves_of, to_expr
+from ..errors import KindError, ModelError, ShapeError
+from ..expr import Constant, Expr, Leaf, Noise, Parameter, State, declares, leaves_of, postorder, to_expr
 from ..groups import SE3, SO3, Euclidean, Group
+from ..units import Quantity
 
 
 @dataclasses.dataclass(frozen=True, eq=False, init=False)
@@ -29,6 +30,7 @@ class Measurement:
         group: the group of the values. By default SO3 or SE3 if the expression is a rotation or a pose, else $R^m$.
     Raises:
         ShapeError: the covariance has another shape; the value does not have the shape of the group.
+        KindError: units of the value that do not fit each other, or a covariance with another unit than its square.
         ModelError: the covariance is not symmetric positive definite; there is neither a covariance nor a Noise; a
             Noise has no period; the value is a condition.
 
@@ -68,9 +70,26 @@ class Measurement:
                 "  fix: pass covariance=..., or use a tx.Noise in the value"
             )
         checked = None if covariance is None else covariance_of(f"{place}: covariance", covariance, group.dimension)
+        _check_units(place, expr, checked, group)
         fields = {"name": name, "value": expr, "covariance": checked, "period": period}
         for field, content in {**fields, "group": group, "noises": noises}.items():
             object.__setattr__(self, field, content)
+
+
+def _check_units(place: str, value: Expr, covariance: Expr | None, group: Group) -> None:
+    """Raise KindError where units do not fit each other, or the covariance has not the square of that of the value."""
+    roots = {place: value} | ({} if covariance is None else {f"{place}: covariance": covariance})
+    nodes = postorder(*roots.values())
+    if not any(map(declares, nodes)):
+        return
+    from ..expr.kinds.inference import infer_kinds  # most measurements do without
+
+    known = infer_kinds(roots, {}, [node for node in nodes if isinstance(node, Leaf)], nodes)
+    unit, squared = known.unit(value), None if covariance is None else known.unit(covariance)
+    if group.flat and unit is not None and squared is not None and squared != unit**2:
+        raise KindError(
+            f"{place}: covariance expects the unit {unit**2}, the square of that of the value, got {squared}"
+        )
 
 
 def _group(place: str, value: Expr, group: Group | None) -> Group:
@@ -88,7 +107,7 @@ def _group(place: str, value: Expr, group: Group | None) -> Group:
 
 def covariance_of(place: str, value: Any, size: int) -> Expr:
     """A covariance as an expression, checked if its value is known. Raises ShapeError, ModelError."""
-    expr = value if isinstance(value, Expr) else to_expr(reals(place, value, ModelError))
+    expr = to_expr(value if isinstance(value, (Expr, Quantity)) else reals(place, value, ModelError))
     if expr.shape not in ((), (size,), (size, size)):
         raise ShapeError(f"{place} expects a number, shape ({size},) or ({size}, {size}), got {expr.shape}")
     known = expr.value if isinstance(expr, (Constant, Parameter)) else None

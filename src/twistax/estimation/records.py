@@ -11,12 +11,15 @@ import numpy as np
 
 from ..checks import listed, real_array, reals, short
 from ..errors import InputError, ShapeError
+from ..groups import Group
 from ..integrators.controls import ControlTable
 from ..jax_inside import is_traced
 from .measurement import Measurement
 
 #: By the name of a measurement: its times (k,) and its values (k, *shape).
 Records = Mapping[str, tuple[Any, Any]]
+#: The largest defect of a measured rotation or pose, as of the arguments of the maps of these groups.
+_DRIFT = 0.1
 
 
 class Timeline(NamedTuple):
@@ -77,15 +80,28 @@ def timeline_of(
             )
         if not is_traced(array) and np.isinf(np.asarray(array)).any():
             raise InputError(f"records[{name!r}] expects finite values, or NaN where one is missing, got infinite ones")
+        check_elements(f"records[{name!r}]", group, array)
         order = np.argsort(times[name])
         rows[name] = np.searchsorted(ts, times[name][order])
         sorted_values = jnp.asarray(array[order], dtype)
-        known = jnp.isfinite(sorted_values.reshape(len(order), -1)).all(axis=1)
+        known = jnp.isfinite(sorted_values).all(axis=tuple(range(1, sorted_values.ndim)))
         one = jnp.asarray(group.identity(dtype), dtype)
         safe = jnp.where(known.reshape(-1, *(1,) * one.ndim), sorted_values, one)
         values[name] = jnp.broadcast_to(one, (ts.size, *group.shape)).at[rows[name]].set(safe)
         present[name] = jnp.zeros(ts.size, bool).at[rows[name]].set(known)
     return Timeline(ts, values, present, rows)
+
+
+def check_elements(place: str, group: Group, values: Any) -> None:
+    """Raise InputError for known values (..., *shape) that are no rotations or poses; those with NaN are missing."""
+    if not group.rigid or is_traced(values):
+        return
+    for value in np.asarray(values, float).reshape(-1, *group.shape):
+        if np.isfinite(value).all() and not group.known_defect(value) <= _DRIFT:
+            raise InputError(
+                f"{place} expects elements of {group.name}, got {short(value)}.\n"
+                f"  fix: tx.{group.name}.normalize(z) takes the nearest element"
+            )
 
 
 def _times(name: str, pair: Any, measurements: Mapping[str, Measurement]) -> np.ndarray:

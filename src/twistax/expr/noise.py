@@ -10,6 +10,7 @@ import numpy as np
 from ..checks import reals, short
 from ..errors import ModelError, ShapeError
 from .graph import leaves_of
+from .kinds.kinds import Kind
 from .leaves import Constant, Control, Inputs, Leaf, Parameter, shape_of
 from .node import Expr, Shape, to_expr
 
@@ -25,8 +26,10 @@ class Noise(Leaf):
         shape: shape of the value; () by default.
         density: amplitude spectral density in the unit of the value per sqrt(Hz): a number, one for each entry, or a
             matrix (n, n) for n entries. Numbers, a Parameter, or an expression of parameters.
+        kind: of the value, such as `tx.FreeVector("body")`, which a system checks.
+        unit: of the value, such as "m/s2", which a system checks.
     Raises:
-        ModelError: a density that is negative, not finite, or depends on states or controls.
+        ModelError: a density that is negative, not finite, or depends on states or controls; an invalid kind or unit.
         ShapeError: a density of another shape.
 
     Example: `tx.Noise("gyro", shape=(3,), density=1e-4)`, in rad/s per sqrt(Hz).
@@ -37,7 +40,9 @@ class Noise(Leaf):
     density: Expr
     cases = ((lambda cls, w: cls("w", shape=(2,), density=0.1), {"w": [0.3, -1.0]}),)
 
-    def __init__(self, name: str, shape: Shape | int = (), *, density: Any) -> None:
+    def __init__(
+        self, name: str, shape: Shape | int = (), *, density: Any, kind: Kind | None = None, unit: Any = None
+    ) -> None:
         shape = shape_of(name, shape)
         place = f"Noise {name!r}: density"
         expr = density if isinstance(density, Expr) else to_expr(reals(place, density, ModelError))
@@ -53,7 +58,7 @@ class Noise(Leaf):
             raise ModelError(f"{place} expects finite numbers, got {short(value)}")
         if value is not None and expr.shape != (n, n) and (value < 0.0).any():
             raise ModelError(f"{place} expects numbers that are not negative, got {short(value)}")
-        self._declare(name, shape, density=expr)
+        self._declare(name, shape, density=expr, kind=kind, unit=unit)
 
     def static_key(self) -> tuple[Any, ...]:
         return (self.name, self.shape, self.density.key())

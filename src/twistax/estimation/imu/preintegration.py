@@ -12,12 +12,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...checks import real_array, reals
-from ...errors import ModelError, ShapeError
+from ...errors import InputError, ModelError, ShapeError
 from ...groups import SO3, Euclidean, Product
 from ...groups.arrays import Input, floats, multiply, of_shape
 from ...groups.series import stumpff
 from ...groups.so3 import exp, hat
+from ...jax_inside import is_traced
 from ...linear.discretize import value_and_jacobian
+from ...system.inputs import is_finite
 
 #: Rotation, velocity and position relative to the start, with d = [phi; dv; dp].
 _MOTION = Product({"R": SO3, "v": Euclidean(3), "p": Euclidean(3)})
@@ -149,6 +151,11 @@ class Preintegration:
         lengths = real_array("h", h)
         if lengths.shape not in ((), (count,)):
             raise ShapeError(f"h expects a number or shape ({count},), got {lengths.shape}")
+        for name, values in {"gyro": rates, "accelerometer": forces, "h": lengths, "bias": biases}.items():
+            if not is_finite(values):
+                raise InputError(f"{name} expects finite numbers, got others")
+        if not is_traced(lengths) and (np.asarray(lengths) <= 0.0).any():
+            raise InputError(f"h expects positive numbers of s, got {np.asarray(lengths).min():g}")
         forces, biases, lengths = (jnp.asarray(a, dtype) for a in (forces, biases, lengths))
         lengths = jnp.broadcast_to(lengths, (count,))
         readings = jnp.concatenate([rates, forces], axis=1) - biases[None, :]
