@@ -20,7 +20,12 @@ wedge.mesh()[1].shape
 # tx.testing.check_gradients
 x, v = tx.State("x"), tx.State("v")
 pendulum = tx.compile(tx.System(rates={x: v, v: -9.81 * tx.Sin(x)}))
-end = lambda start: tx.integrate(pendulum, start, t1=1.0, dt=0.1).last
+
+
+def end(start):
+    return tx.integrate(pendulum, start, t1=1.0, dt=0.1).last
+
+
 tx.testing.check_gradients(end, {"x": 0.3, "v": 0.0})  # raises LawError if a derivative is wrong
 
 # tx.testing.LawError
