@@ -277,14 +277,14 @@ def hill(declared: bool) -> Problem:
 def test_a_saddle_is_left_whatever_units_stand_in_one_vector(declared: bool) -> None:
     result = hill(declared).solve()
     assert result.solved
-    assert result.cost == pytest.approx(0.8994, rel=1e-4)
+    assert result.cost == pytest.approx(0.8995, rel=1e-4)
 
 
 def test_a_saddle_along_which_a_run_creeps_is_left_at_every_tolerance_and_of_many_cases() -> None:
     for tolerance in (1e-4, 1e-8):
         result = hill(False).solve(tolerance=tolerance)
         assert result.solved
-        assert result.cost == pytest.approx(0.8994, rel=1e-4)
+        assert result.cost == pytest.approx(0.8995, rel=1e-4)
     starts = np.array([[x, 0.0, 0.0, 0.0] for x in (-800.0, -1000.0, -1100.0, -900.0)])
     many = hill(False).solve_many(initial={"x": starts})
     alone = [hill(False).solve(initial={"x": start}) for start in starts]
@@ -347,8 +347,7 @@ def test_an_objective_may_vanish_at_the_optimum() -> None:
     p, v, u = tx.State("p"), tx.State("v"), tx.Control("u", min=-1.0, max=1.0)
     dynamics = tx.compile(tx.System(rates={p: v, v: u}))
     cost = tx.Minimize(running=p**2 + v**2 + 0.1 * u**2)
-    twice = {**HEUN, "substeps": 2}
-    problem = Problem(dynamics, cost, nodes=6, final_time=3.0, initial={p: 1e-3, v: 0.0}, **twice)
+    problem = Problem(dynamics, cost, nodes=6, final_time=3.0, initial={p: 1e-3, v: 0.0})
     first = problem.solve()
     for start in (1e-6, 1e-9, 0.0):
         for options in ({}, {"warm": first}):
