@@ -67,10 +67,7 @@ class Rule:
     maps: ClassVar[bool] = False
 
     def variant(self, node: Any) -> Hashable:
-        """What `links`, `spaces` and `unframed` depend on besides the class of the node and the shapes of its operands.
-
-        None: they are read anew for each node.
-        """
+        """What pairs of axes depend on besides the node's class and its operands' shapes; None: read for each node."""
         return None
 
     def links(self, node: Any) -> Iterable[Link]:
@@ -310,9 +307,7 @@ class _Quotient(_Product):
 
 @dataclasses.dataclass(frozen=True)
 class MatrixRule(ByShapes):
-    """Products, inverses and similar nodes: the axes of `shared_orders`, of which some groups are dual; powers of
-    units.
-    """
+    """Products, inverses and similar nodes: the axes of `shared_orders`, some of them dual; powers of units."""
 
     how: tuple[Common, ...] = ()
     powers: tuple[int, ...] = (1,)
