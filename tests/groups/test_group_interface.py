@@ -143,7 +143,7 @@ def test_normalize_repairs_a_pose():
 def test_a_pose_somewhere_infinite_is_refused(bad):
     T = np.eye(4)
     T[1, 3] = bad
-    with pytest.raises(InputError, match="off by nan"):
+    with pytest.raises(InputError, match="with an error of nan"):
         SE3.normalize(T)
 
 

@@ -1,8 +1,9 @@
-"""Convex polytopes, and the distance of two of them as a function of JAX.
+"""Convex polytopes, and the distance of two polytopes as a JAX function.
 
-Outside, the nearest points of two polytopes are a corner and its projection within a face, a corner and a point of an
-edge, or points within two edges: the distance is the least of all of these. Inside, the depth is that of the separating
-axes, the normals of faces and the products of edges: the greatest gap between the projections of both on an axis.
+If two polytopes are separate, their nearest points are a corner and its projection onto a face, a corner and a point of
+an edge, or points of two edges: the distance is the minimum over all of these. If they overlap, the depth follows from
+the separating axes, which are the normals of faces and the cross products of edges: it is the largest gap between the
+projections of both on an axis.
 
 Source: C. Ericson, Real-Time Collision Detection (2005), sections 5.1.2, 5.1.5, 5.1.9 and 5.2.1.
 """
@@ -62,7 +63,7 @@ class ConvexPolytope:
             points = points.mesh()[0] @ np.asarray(points.at)[:3, :3].T + np.asarray(points.at)[:3, 3]
         points = reals("ConvexPolytope: corners", points, InputError)
         if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
-            raise InputError(f"ConvexPolytope expects corners (k, 3) that are finite, got {short(self.corners)}")
+            raise InputError(f"ConvexPolytope expects finite corners of shape (k, 3), got {short(self.corners)}")
         if not 0.0 <= float(self.radius) < np.inf:
             raise InputError(f"ConvexPolytope expects a radius of 0 or more, got {self.radius!r}")
         hull = _hull(points)
@@ -79,7 +80,7 @@ class ConvexPolytope:
 
     @functools.cached_property
     def core(self) -> Core:
-        """Corners, edges and faces."""
+        """The hull's corners, edges and faces."""
         from scipy.spatial import ConvexHull
 
         return Core.of_hull(ConvexHull(self.corners), self.at, float(self.radius))
@@ -90,11 +91,12 @@ class Core:
     """A point, a segment or a polytope with a radius, as arrays.
 
     Attributes:
-        at: T (4, 4) in the frame of the body.
+        at: pose T (4, 4) in the frame of the body.
         corners: (v, 3).
-        edges: (e, 2, 3): both ends.
+        edges: (e, 2, 3): both ends of each.
         faces: (f, 3, 3): corners of triangles.
-        normals: (g, 3), of faces, outward, each direction once; offsets (g,): $n . p = offset$ on the face.
+        normals, offsets: outward normals (g, 3) of faces, each direction once, and (g,) with $n . p = offset$ on the
+            face.
         radius: m.
     """
 
@@ -115,7 +117,7 @@ class Core:
 
     @classmethod
     def of_hull(cls, hull: Any, at: NDArray[np.float64], radius: float) -> Core:
-        """Of a `scipy.spatial.ConvexHull`; edges within a face are left out."""
+        """The core of a `scipy.spatial.ConvexHull`, without edges within a face."""
         points, triangles, planes = hull.points, hull.simplices, hull.equations
         edges = []
         for i, near in enumerate(hull.neighbors):
@@ -131,7 +133,7 @@ class Core:
 
     @classmethod
     def of(cls, solid: Rounded | ConvexPolytope) -> Core:
-        """Of a box, a capsule, a ball or a polytope."""
+        """The core of a box, a capsule, a ball or a polytope."""
         if isinstance(solid, ConvexPolytope):
             return solid.core
         count = len(solid.directions)
@@ -143,7 +145,7 @@ class Core:
 
 
 def distance(a: Core, b: Core, T: Any) -> jax.Array:
-    """The signed distance () for the pose T of the core b in that of a."""
+    """The signed distance () of the core b, at the pose T in the frame of the core a, from a."""
     T = jnp.asarray(T)
     R, p = T[:3, :3], T[:3, 3]
     constant = functools.partial(jnp.asarray, dtype=T.dtype)
@@ -215,7 +217,7 @@ def _between(one: jax.Array, two: jax.Array) -> jax.Array:
 
 
 def _separation(a: Core, b: Core, Va: jax.Array, Vb: jax.Array, R: jax.Array, p: jax.Array) -> jax.Array:
-    """The greatest gap along a separating axis; below zero the least depth of an overlap."""
+    """The largest gap along a separating axis; if negative, minus the smallest depth of an overlap."""
     constant = functools.partial(jnp.asarray, dtype=R.dtype)
     gaps = []
     if len(a.normals):
@@ -249,7 +251,7 @@ def directions(edges: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _hull(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The corners of the convex hull. Raises InputError where it has no volume."""
+    """The corners of the convex hull. Raises InputError if it has no volume."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:
@@ -257,14 +259,16 @@ def _hull(points: NDArray[np.float64]) -> NDArray[np.float64]:
     except (QhullError, ValueError) as error:
         raise InputError(
             f"ConvexPolytope expects points that span a volume, got {len(points)} points that do not.\n"
-            "  fix: a Sphere, a Capsule or a Box of tx.view"
+            "  fix: use a Sphere, a Capsule or a Box of tx.view"
         ) from error
 
 
 def _fewer(hull: NDArray[np.float64], most: int) -> NDArray[np.float64]:
-    """At most so many corners, each the farthest from those before it. Raises InputError for fewer than four."""
+    """At most this number of corners, each the farthest from the previous ones. Raises
+    InputError for fewer than four.
+    """
     if most < 4:
-        raise InputError(f"ConvexPolytope expects most of 4 or more, got {most}")
+        raise InputError(f"ConvexPolytope expects most to be 4 or more, got {most}")
     kept = [int(np.argmax(np.linalg.norm(hull - hull.mean(axis=0), axis=1)))]
     distances = np.linalg.norm(hull - hull[kept[0]], axis=1)
     while len(kept) < most:

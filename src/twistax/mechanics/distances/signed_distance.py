@@ -1,18 +1,18 @@
 """The signed distance of two solids, as an expression with derivatives of all orders.
 
-Outside, the nearest points of two cores are a corner and its projection on the other core, or lie within two edges. So
-the square of the distance is the least of
+If two cores are separate, their nearest points are a corner of one and its projection onto the other, or points of two
+edges. So the square of the distance is the minimum of
 
     |c - clip(c, -h, h)|^2        |w|^2 - [d e] [1 -b; -b 1]^-1 [d e]^T
 
-over the corners c of one in the frame of the other, of half lengths h, and over pairs of edges, with w from edge to
-edge, b the cosine of the angle between them, d and e the parts of w along them, where both points lie within their
-edges. Where a core has a volume, the depth is that of the separating axes: the greatest over the faces' normals and the
-products of edges n of
+over the corners c of one core in the frame of the other, whose half lengths are h, and over pairs of edges whose
+nearest points lie within both. Here w is the vector between the edges' centres, b the cosine of the angle between them,
+and d and e are the components of w along them. If a core has a volume, the depth follows from the separating axes: it
+is the maximum, over the faces' normals and the cross products of edges n, of
 
     |n . p| - sum_i h_i |n . a_i| - sum_j h_j |n . b_j|,
 
-which is negative where the cores overlap.
+which is negative if the cores overlap.
 
 Source: C. Ericson, Real-Time Collision Detection (2005), sections 4.4.1, 5.1.3 and 5.1.9.
 """
@@ -40,14 +40,14 @@ from .distance_grid import DistanceGrid
 from .polytope import ConvexPolytope, Core, distance
 from .solids import HalfSpace, Rounded, rounded
 
-#: Of edges nearer to parallel than this sine squared, the corners are as near as the edges.
+#: For edges whose squared sine is smaller, corners are as near as the edges.
 _PARALLEL = 1e-14
-#: Stands for a pair of edges whose nearest points lie beyond their ends, m2.
+#: The squared distance in m2 of pairs of edges whose nearest points lie beyond their ends.
 _FAR = Constant(1e12)
 _UNIT = np.eye(3)
 
 
-#: What has a distance.
+#: Solids with a distance function.
 Solid: TypeAlias = Shape | HalfSpace | ConvexPolytope | DistanceGrid
 
 
@@ -80,7 +80,7 @@ def signed_distance(a: Solid, b: Solid, T_a: ExprLike | None = None, T_b: ExprLi
 
 @dataclasses.dataclass(frozen=True)
 class Pair:
-    """Two solids as their distance takes them.
+    """Two solids in the form that the distance functions require.
 
     Attributes:
         a: a core with half lengths, a polytope or a cylinder.
@@ -93,7 +93,7 @@ class Pair:
     swapped: bool
 
     def distance(self, T: Expr) -> Expr:
-        """The signed distance () where T is the pose of b in the frame of a."""
+        """The signed distance () if T is the pose of b in the frame of a."""
         a, b = self.a, self.b
         if isinstance(b, DistanceGrid):
             return b.value(-(T[:3, :3].T @ T[:3, 3])) - a.radius
@@ -112,7 +112,7 @@ class Pair:
         return functools.partial(distance, Core.of(self.a), Core.of(self.b))
 
     def _reach(self, n: Expr) -> Expr:
-        """How far a reaches along -n, a unit vector in its frame."""
+        """The extent of a along -n, a unit vector in its frame."""
         a = self.a
         if isinstance(a, Cylinder):
             return over_plane(a, n)
@@ -126,7 +126,7 @@ class Pair:
 
 
 def placed_pair(owner: str, a: Solid, b: Solid, T_a: ExprLike | None, T_b: ExprLike | None) -> tuple[Pair, Expr, Expr]:
-    """A pair, and the poses of its solids in one frame. Raises ModelError, ShapeError as `signed_distance`."""
+    """A pair, and the poses of its solids in one frame. Raises the errors of `signed_distance`."""
     poses = [pose(owner, name, np.eye(4) if T is None else T) for name, T in (("T_a", T_a), ("T_b", T_b))]
     swapped = isinstance(a, (HalfSpace, DistanceGrid)) or (isinstance(b, Cylinder) and not isinstance(a, Cylinder))
     if isinstance(a, Cylinder) and isinstance(b, Cylinder):
@@ -136,14 +136,15 @@ def placed_pair(owner: str, a: Solid, b: Solid, T_a: ExprLike | None, T_b: ExprL
         one: Any = rounded(owner, first) if isinstance(first, Sphere) else None
         if one is None:
             raise ModelError(
-                f"{owner} expects a Sphere beside a DistanceGrid, got {short(first)}.\n  fix: several spheres"
+                f"{owner} expects a Sphere as the partner of a DistanceGrid, got {short(first)}.\n"
+                "  fix: enclose the solid in several spheres"
             )
         two: Any = second
     else:
         one = _core(owner, first)
         two = second if isinstance(second, HalfSpace) else _core(owner, second)
     A, B = poses[::-1] if swapped else poses
-    B = B if isinstance(two, DistanceGrid) else Compose(B, Constant(two.at))  # a grid has its place in itself
+    B = B if isinstance(two, DistanceGrid) else Compose(B, Constant(two.at))  # a grid includes its pose
     return Pair(one, two, swapped), Compose(A, Constant(one.at)), B
 
 
@@ -152,7 +153,7 @@ def _core(owner: str, solid: Solid) -> Rounded | ConvexPolytope | Cylinder:
 
 
 def _apart(a: Rounded, b: Rounded, T: Expr) -> Expr:
-    """The distance of two cores, less the radii; T is the pose of b in a."""
+    """The distance of two cores, minus the radii; T is the pose of b in a."""
     R, p = T[:3, :3], T[:3, 3]
     squares = [_to_core(Constant(b.corners) @ R.T + p[None], a), _to_core((Constant(a.corners) - p[None]) @ R, b)]
     squares += [_between_edges(a, b, i, j, R, p) for i in a.directions for j in b.directions]
@@ -170,7 +171,9 @@ def _to_core(points: Expr, core: Rounded) -> Expr:
 
 
 def _between_edges(a: Rounded, b: Rounded, i: int, j: int, R: Expr, p: Expr) -> Expr:
-    """The least squared distances (k,) of points within the edges of a along axis i and those of b along axis j."""
+    """The smallest squared distances (k,) between points of the edges of a along axis i and points of the edges of b
+    along axis j.
+    """
     direction, one, two = R[:, j], a.edges(i), b.edges(j)
     sine = 1.0 - direction[i] * direction[i]
     skew = sine > _PARALLEL
@@ -189,7 +192,7 @@ def _squares(r: Expr) -> Expr:
 
 
 def _least(values: Expr) -> Expr:
-    """The least of 2^n values."""
+    """The minimum of 2^n values."""
     while values.shape[0] > 1:
         half = values.shape[0] // 2
         values = Min(values[:half], values[half:])
@@ -197,7 +200,7 @@ def _least(values: Expr) -> Expr:
 
 
 def _separation(a: Rounded, b: Rounded, R: Expr, p: Expr) -> Expr:
-    """The greatest distance along a separating axis; below zero the least depth of an overlap."""
+    """The largest gap along a separating axis; if negative, minus the smallest depth of an overlap."""
     values: list[Expr] = []
 
     def along(n: Expr) -> Expr:

@@ -1,9 +1,9 @@
-"""The points of two solids that are nearest to each other.
+"""The nearest points of two solids (witness points).
 
-The distance d of convex solids changes with a small motion of the second one, a translation v and a rotation w about
-the origin of the first, by n . v + m . w, where n is the normal from the first to the second and m = p x n for a
-witness point p on either. So both follow from the gradient of d, and the height of p along n is the support of the
-first solid: $p_a = n \\times m + h_a(n) n$ and $p_b = p_a + d n$.
+Let the second solid make a small motion, a translation v and a rotation w about the origin of the first one. The
+distance d of convex solids changes by n . v + m . w, where n is the normal from the first solid to the second, and m =
+p x n for a witness point p on either. So n and m follow from the gradient of d. The component of p along n is the
+support function of the first solid: $p_a = n \\times m + h_a(n) n$ and $p_b = p_a + d n$.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class WitnessPoints:
     by $-d n$ makes them touch.
 
     Attributes:
-        on_a, on_b: (3,), m, on the first and on the second solid, in the frame of the poses.
+        on_a, on_b: points (3,), m, on the first and on the second solid, in the frame of the poses.
         normal: (3,), of unit length, from the first to the second solid.
         distance: (), m, the signed distance.
     """
@@ -56,11 +56,12 @@ def witness_points(a: Solid, b: Solid, T_a: ExprLike | None = None, T_b: ExprLik
     meets the core of the other solid, such as the centres of two spheres: there the normal may be zero, but nothing is
     NaN.
 
-    Source: Boyd, Vandenberghe, Convex Optimization (2004), section 8.2.2: the normal separates by the supports.
+    Source: Boyd, Vandenberghe, Convex Optimization (2004), section 8.2.2 (separating hyperplanes and support
+    functions).
 
     Args:
         a, b, T_a, T_b: as for `signed_distance`.
-    Raises: ModelError, ShapeError as `signed_distance`.
+    Raises: the errors of `signed_distance`.
 
     Example:
         >>> import twistax as tx
@@ -99,7 +100,7 @@ def _points_of(pair: Pair) -> Callable[[Any], Any]:
 
 
 def _support(solid: Any, n: jax.Array) -> jax.Array:
-    """The largest n . p of a solid, in its frame."""
+    """The support function of a solid, the largest n . p, in its frame."""
     if isinstance(solid, Cylinder):
         return 0.5 * solid.length * jnp.abs(n[2]) + solid.radius * root(n[0] ** 2 + n[1] ** 2)
     if isinstance(solid, ConvexPolytope):
