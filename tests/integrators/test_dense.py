@@ -83,7 +83,7 @@ def test_a_solution_that_failed_can_be_read_up_to_there() -> None:
     sol = tx.integrate(blow_up, {"x": 1.0}, t1=3.0, dt=0.01, dense=True, throw=False)
     assert sol.result is tx.Result.NON_FINITE
     assert float(sol.evaluate(0.5)["x"]) == pytest.approx(2.0, rel=1e-7)
-    with pytest.raises(tx.InputError, match=r"evaluate expects times in \[0, 1.\d+\], the integrated span, got 2"):
+    with pytest.raises(tx.InputError, match=r"evaluate expects times in \[0, 1.\d+\] \(the integrated span\), got 2"):
         sol.evaluate(2.0)
 
 
