@@ -127,7 +127,7 @@ def test_units_do_not_decide_what_is_observable() -> None:
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: consistency([-1.0], 1), "not negative"),
+        (lambda: consistency([-1.0], 1), "non-negative"),
         (lambda: consistency([np.nan], 1), "finite"),
         (lambda: consistency([1.0], 1, level=1.0), "level"),
         (lambda: simulated(0.5)[0].nees({"y": 0.0}), "truth needs the state 'x'"),
