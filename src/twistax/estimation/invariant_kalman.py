@@ -120,7 +120,7 @@ def group_affinity(
     at random states, and at random controls if none are passed, so it is a test and not a proof.
 
     Args:
-        u: controls.
+        u: controls, in their units.
         params: parameter values; those with default values are optional.
         seed: seed of the random states.
     Raises: ModelError, InputError: the errors of a call of the dynamics.

@@ -34,6 +34,7 @@ class Experiment:
         u: controls, as for a filter's run.
         guess: initial guess of the states in a search with several segments, by name, at arbitrary times: (times (k,),
             {name: (k, *shape)}). By default the states are simulated.
+    Raises: nothing; a fit checks the values.
 
     Example: `tx.estimation.Experiment({"angle": (times, angles)}, x0={"q": 1.0, "w": 0.0})`.
     """

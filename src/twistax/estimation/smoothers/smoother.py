@@ -40,6 +40,8 @@ class RauchTungStriebel:
     The Jacobians transform covariances to the tangent space at the smoothed estimate; on $R^m$ they are identities.
     Directions in which M is singular, such as a known constant, have zero gain. Traceable.
 
+    Raises: nothing; values that are not finite propagate.
+
     Source: Rauch, Tung, Striebel, Maximum likelihood estimates of linear dynamic systems, AIAA J. 3 (1965); on groups
     Bourmaud et al., Continuous-discrete extended Kalman filter on matrix Lie groups, JMIV 51 (2015).
     """
@@ -72,7 +74,7 @@ class FixedLagSmoother:
     intervals. Traceable.
 
     Attributes:
-        lag: the number of later times of the run, 1 or more.
+        lag: the number of later times of the run, 1 or more, dimensionless.
     Raises: InputError for an invalid lag.
 
     Source: Anderson, Moore, Optimal Filtering (1979), sec. 7.3, which gives the same numbers.

@@ -190,8 +190,8 @@ def translation(position: ExprLike) -> Expr:
 
 
 def rotation(rotation: ExprLike) -> Expr:
-    """The pose [R 0; 0 1] of a frame that is rotated by R (3, 3) about the common origin; from an expression or
-    numbers.
+    """The pose [R 0; 0 1] of a frame that is rotated about the common origin, by a `rotation` R (3, 3) that is an
+    expression or numbers.
 
     Its Ad and Ad*, and those of its inverse, rotate both halves of a six-vector. Raises ShapeError if R is not of shape
     (3, 3).

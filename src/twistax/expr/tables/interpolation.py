@@ -207,8 +207,9 @@ class Linterp(_OnGrid):
 
 
 class Cinterp(Expr):
-    """Piecewise cubic interpolation of a fixed table (xp, fp) at x. Outside of the table the outermost cubics are
-    continued.
+    """Piecewise cubic interpolation of a fixed table (xp, fp) at x.
+
+    Outside of the table the outermost cubics are continued.
 
     Shapes: x of any shape s, xp (n,), fp (n, *k) -> (*s, *k). In interval i the value is
     $c_0i + c_1i t + c_2i t^2 + c_3i t^3$ with $t = x - xp_i$.

@@ -243,7 +243,7 @@ class IPOPT(_Casadi):
 
     Args:
         options: options of IPOPT, such as {"linear_solver": "mumps", "print_level": 5}.
-        max_seconds: wall time, including compile time, after which a run ends with OUT_OF_TIME at its last iterate.
+        max_seconds: wall time in s, with compile time, after which a run ends with OUT_OF_TIME at its last iterate.
             IPOPT then runs in a separate process, which can be terminated, and prints to standard error. With None it
             runs in this process, without a limit, and is faster.
 
@@ -273,7 +273,7 @@ class Fatrop(_Casadi):
 
     Args:
         options: options of Fatrop, such as {"print_level": 1}.
-        max_seconds: as for `IPOPT`. Fatrop 1.1.8 can enter an infinite loop while it regularises a step, where it calls
+        max_seconds: in s, as for `IPOPT`. Fatrop 1.1.8 can enter an infinite loop while it regularises a step, where it calls
             no callback; so it has a limit unless this is None.
 
     Raises:
