@@ -4,7 +4,7 @@ The rest of the package uses only their documented interfaces; a test detects im
 with JAX 0.10, 0.11 and 0.12.
 """
 
-from jax.experimental import jet
+from jax.experimental import io_callback, jet
 from jax.extend.backend import backends
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir

@@ -273,8 +273,8 @@ class Fatrop(_Casadi):
 
     Args:
         options: options of Fatrop, such as {"print_level": 1}.
-        max_seconds: in s, as for `IPOPT`. Fatrop 1.1.8 can enter an infinite loop while it regularises a step, where it calls
-            no callback; so it has a limit unless this is None.
+        max_seconds: in s, as for `IPOPT`. Fatrop 1.1.8 can enter an infinite loop while it regularises a step, where it
+            calls no callback; so it has a limit unless this is None.
 
     Raises:
         TrajectoryError: options that are not a dict, or that `solve` sets; a time that is not positive.

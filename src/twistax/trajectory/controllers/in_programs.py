@@ -9,9 +9,8 @@ from typing import Any, TypeVar
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.experimental import io_callback
 
-from ...jax_inside import is_tracing
+from ...jax_inside import io_callback, is_tracing
 from ...system import name_of
 
 Method = TypeVar("Method", bound=Callable[..., Any])
