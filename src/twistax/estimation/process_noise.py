@@ -58,8 +58,8 @@ class VanLoan(NoiseDiscretization):
 class Trapezoidal(NoiseDiscretization):
     """The covariance $Q = h / 2 (Phi G_0 W_0 G_0^T Phi^T + G_1 W_1 G_1^T)$, the trapezoidal rule for the same integral.
 
-    Its error is proportional to $h^3$, h in s. It needs a few sums in place of a matrix exponential, so its code in C is
-    short and has no loop.
+    Its error is proportional to $h^3$, h in s. It needs a few sums in place of a matrix exponential, so its code in C
+    is short and has no loop.
 
     Raises: nothing.
 
