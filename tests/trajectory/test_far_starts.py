@@ -18,7 +18,7 @@ WALL = u**2 + tx.Exp(10.0 * (x - 1.0)) - x
 def along(running: Any, **options: Any) -> Problem:
     """x' = u over 1 s."""
     dynamics = tx.compile(tx.System(rates={x: u}))
-    return Problem(dynamics, tx.Minimize(running=running), nodes=11, final_time=1.0, **{**EULER, **options})
+    return Problem(dynamics, tx.Minimize(running=running), nodes=11, final_time=1.0, **{**HEUN, **options})
 
 
 @pytest.mark.parametrize(
