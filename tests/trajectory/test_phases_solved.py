@@ -152,7 +152,7 @@ def test_what_does_not_fit_is_refused() -> None:
     refused(ModelError, "leaves free: none", free={"last": (0.0, 1.0)})
     refused(InputError, "unknown key 'x'", params={"x": 1.0})
     refused(TrajectoryError, "leave out guess", warm=solved(), guess={"b": {u: 1.0}})
-    with pytest.raises(TrajectoryError, match="another phase"):
+    with pytest.raises(TrajectoryError, match="several phases"):
         solved().shifted()
 
 
