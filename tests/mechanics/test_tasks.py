@@ -121,8 +121,8 @@ def test_operational_space_and_computed_torque() -> None:
 def test_what_is_no_task(unchecked: None) -> None:
     arm = mechanics.load(EXAMPLES / "panda.urdf")
     for wrong, message in (
-        (lambda: FrameTask("hand", weight=-1.0), "weight of 0 or more"),
-        (lambda: FrameTask("hand", gain=np.inf), "gain of 0 or more"),
+        (lambda: FrameTask("hand", weight=-1.0), "weight to be finite and 0 or more"),
+        (lambda: FrameTask("hand", gain=np.inf), "gain to be finite and 0 or more"),
         (lambda: FrameTask("hand", np.zeros((4, 4))).error(arm), "target to be a pose"),
         (lambda: FrameTask("nothing").error(arm), "no frame 'nothing'"),
         (lambda: PostureTask(joints=["nothing"]).error(arm), "joint 'nothing'"),

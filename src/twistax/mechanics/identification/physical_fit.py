@@ -170,7 +170,7 @@ def _check_body(mechanism: Mechanism, i: int) -> None:
     if segment.body is None:
         raise ModelError(
             f"identify: link {segment.link.name!r} has no body, which a physical fit needs as its start.\n"
-            f"  fix: use with_inertia({...}) with a body of about the right size"
+            f"  fix: use with_inertia({{...}}) with a body of about the right size"
         )
     try:
         log_cholesky(segment.body)
