@@ -124,7 +124,9 @@ class Filter(ABC):
         if self.in_scalars:
             one_step = KernelFunction(self.in_arrays.propagated, self.model.dynamics.backend)
         adaptive = self.adaptive
-        return one_step if adaptive is None else lambda at, P, h: adaptive(one_step, at, P, self.multiplied(P), h)
+        if adaptive is None:
+            return one_step
+        return lambda point, P, h: adaptive(one_step, point, P, self.multiplied(P), h)
 
     @functools.cached_property
     def _corrected(self) -> Mapping[str, Callable[[OperatingPoint, jax.Array, jax.Array], Update]]:

@@ -76,7 +76,7 @@ class InvariantKalman(ErrorStateKalman):
         if not isinstance(invariance, Invariance):
             raise ModelError(f"invariance expects Invariance.LEFT or Invariance.RIGHT, got {invariance!r}")
         reset = _unmoved if invariance is Invariance.LEFT else _transported
-        steps = {"max_step": max_step, "rtol": rtol, "atol": atol, "control": control}
+        steps: dict[str, Any] = {"max_step": max_step, "rtol": rtol, "atol": atol, "control": control}
         super().__init__(dynamics, measurements, method=method, gate=gate, noise=noise, reset=reset, **steps)
         self.invariance = invariance
 

@@ -78,7 +78,8 @@ class AdaptivePrediction:
 
     With e the difference of the step from its embedded solution and $E = de/dd$ its derivative with respect to the
     error d of the estimate, the mean is in error by e, and the standard deviations by the roots of the diagonal of
-    $E P E^T$. Both are compared with `atol + rtol * size`, the size that of the state, or of the standard deviation.
+    $E P E^T$. The root mean square of each, in units of `atol + rtol * size`, must be at most one, with the size of the
+    state, or of the standard deviation.
 
     A first pass finds the lengths. The filter predicts by these lengths in a second one, which is differentiable; the
     lengths are constants in derivatives, as in `tx.integrate`.
@@ -126,7 +127,7 @@ class AdaptivePrediction:
         def going(search: _Search) -> jax.Array:
             return (search.t < length) & (search.code == 0) & (search.tried < self.control.max_steps)
 
-        search = jax.lax.while_loop(going, functools.partial(self._try, tolerances, point, length), start)
+        search: _Search = jax.lax.while_loop(going, functools.partial(self._try, tolerances, point, length), start)
         short = (search.t < length) & (search.code == 0)
         return search._replace(code=jnp.where(short, Result.MAX_STEPS.value, search.code))
 
