@@ -43,8 +43,8 @@ class ErrorStateKalman(Filter):
         max_step: the longest step of a prediction in s; by default there is one step between two times.
         rtol, atol: tolerances of a step, as of `tx.integrate`. With them each prediction is divided into steps whose
             estimated errors of the mean and of standard deviations, in units of `atol + rtol * size`, have a root mean
-            square of at most one; the method is an embedded pair, by default RKMK with TSIT5. The error of the noise covariance has no estimate: `max_step`
-            bounds it.
+            square of at most one. The method is an embedded pair, by default RKMK with TSIT5. The error of the noise
+            covariance has no estimate; `max_step` bounds it.
         control: a `tx.StepControl` of these steps, of which a prediction tries at most `max_steps`, by default 256.
         gate: a probability. A measurement is used only if its normalised innovation squared is below the chi-square
             quantile of this probability.
