@@ -40,9 +40,8 @@ def test_a_fast_pendulum_with_slow_records_is_predicted_as_by_short_steps(kind: 
     for name in START:
         np.testing.assert_allclose(adaptive.xs[name], short.xs[name][::1000], atol=accuracy)
     np.testing.assert_allclose(adaptive.P, short.P[::1000], atol=accuracy)
-    transitions = [np.eye(2)] + [
-        functools.reduce(np.matmul, np.asarray(short.transitions[k + 1000 : k : -1])) for k in (0, 1000)
-    ]
+    products = [functools.reduce(np.matmul, np.asarray(short.transitions[k + 1000 : k : -1])) for k in (0, 1000)]
+    transitions = [np.eye(2), *products]
     np.testing.assert_allclose(adaptive.transitions, transitions, atol=100.0 * accuracy)
 
 
