@@ -100,7 +100,9 @@ def test_a_tumbling_body_in_single_precision() -> None:
     star = tx.Measurement("star", R, covariance=1e-4)
     x0 = {"R": np.eye(3, dtype=np.float32), "w": np.array([0.5, 1.0, 3.0], np.float32)}
     arguments = 0.0, x0, np.float32(1e-4), np.float32(2.0)
-    adaptive = ErrorStateKalman(body, [star], rtol=1e-5, atol={"R": 1e-5, "w": 1e-5}).predict(*arguments)
+    kalman = ErrorStateKalman(body, [star], rtol=1e-5, atol={"R": 1e-5, "w": 1e-5})
+    assert "rank 6 of 6" in kalman.explain({"star": [0.0, 2.0]}, x0)
+    adaptive = kalman.predict(*arguments)
     short = ErrorStateKalman(body, [star]).run(
         {}, jax.tree.map(np.float64, x0), 1e-4, t0=0.0, save_at=np.linspace(0.0, 2.0, 1001)
     )
