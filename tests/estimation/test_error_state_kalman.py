@@ -56,6 +56,16 @@ def test_the_linear_case_is_the_exact_kalman_filter() -> None:
     assert run.result == "successful"
 
 
+@pytest.mark.parametrize("rtol", [1e-5, 1e-9])
+def test_the_linear_case_with_long_intervals_is_exact_to_the_tolerance(rtol: float) -> None:
+    kalman = ErrorStateKalman(OSCILLATOR, [POSITION], rtol=rtol)
+    run = kalman.run({"position": (4.0 * TIMES, VALUES)}, {"x": np.array([1.0, 0.0])}, 1.0, t0=0.0, u={"u": 0.7})
+    m, P, total = exact(4.0 * TIMES, VALUES, 0.7)
+    np.testing.assert_allclose(run.xs["x"][-1], m, atol=4.0 * rtol)
+    np.testing.assert_allclose(run.P[-1], P, atol=4.0 * rtol)
+    np.testing.assert_allclose(run.log_likelihood, total, atol=40.0 * rtol)
+
+
 def test_one_step_has_the_exact_covariance_whatever_its_length() -> None:
     """By Van Loan, so of a linear system without an error of the step; the oracle integrates the Riccati equation."""
     kalman = ErrorStateKalman(OSCILLATOR, [POSITION])

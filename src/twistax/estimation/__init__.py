@@ -2,7 +2,7 @@
 
 from .consistency import Consistency, Verdict, consistency
 from .error_state_kalman import ErrorStateKalman
-from .filter import Estimate, Filter, Prediction
+from .filter import Filter
 from .filter_run import FilterRun, Innovations
 from .fitting.experiment import Experiment
 from .fitting.maximum_likelihood import MaximumLikelihood, fit
@@ -12,7 +12,8 @@ from .imu.preintegration import InertialState, PreintegratedImu, Preintegration
 from .invariant_kalman import GroupAffinity, Invariance, InvariantKalman, group_affinity
 from .measurement import Measurement
 from .observability import Observability
-from .process_noise import NoiseDiscretization, Trapezoidal, VanLoan
+from .prediction.adaptive_prediction import Estimate, Prediction
+from .prediction.process_noise import NoiseDiscretization, Trapezoidal, VanLoan
 from .smoothers.batch_smoother import BatchEstimate, BatchSmoother
 from .smoothers.robust_losses import CauchyLoss, HuberLoss, RobustLoss
 from .smoothers.smoother import FixedLagSmoother, RauchTungStriebel, Smoothed

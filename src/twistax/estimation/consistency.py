@@ -106,3 +106,12 @@ def consistency(statistic: Any, freedom: int, *, level: float = 0.95, tolerance:
     else:
         verdict = Verdict.CONSISTENT if half <= tolerance else Verdict.UNDECIDED
     return Consistency(verdict, level, runs, ratio, interval, mean, (band[0], band[1]), inside)
+
+
+def gate_limit(gate: float | None, size: int) -> float | None:
+    """The quantile of chi-square of a gate."""
+    if gate is None:
+        return None
+    from scipy.stats import chi2
+
+    return float(chi2.ppf(gate, size))

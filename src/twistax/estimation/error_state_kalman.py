@@ -12,11 +12,13 @@ import numpy as np
 from ..checks import callable_with
 from ..errors import ModelError
 from ..groups import Product
+from ..integrators import StepControl
 from ..system.dynamics import Dynamics
 from ..system.export import CFiles
-from .filter import Filter, Prediction
+from .filter import Filter
 from .measurement import Measurement
-from .process_noise import NoiseDiscretization
+from .prediction.adaptive_prediction import Prediction
+from .prediction.process_noise import NoiseDiscretization
 from .stochastic_model import OperatingPoint
 from .update import LinearMeasurement, Reset, Update, linear_update, symmetric
 
@@ -39,6 +41,11 @@ class ErrorStateKalman(Filter):
         measurements: the models of the sensors, a `tx.Measurement` each.
         method: the integration method of the mean; RKMK with RK4 by default.
         max_step: the longest step of a prediction in s; by default there is one step between two times.
+        rtol, atol: tolerances of a step, as of `tx.integrate`. With them each prediction is divided into steps whose
+            estimated errors of the mean and of standard deviations, in units of `atol + rtol * size`, have a root mean
+            square of at most one. The method is an embedded pair, by default RKMK with TSIT5. The error of the noise
+            covariance has no estimate; `max_step` bounds it.
+        control: a `tx.StepControl` of these steps, of which a prediction tries at most `max_steps`, by default 256.
         gate: a probability. A measurement is used only if its normalised innovation squared is below the chi-square
             quantile of this probability.
         noise: the discretisation of continuous noise: `VanLoan()`, the default, or `Trapezoidal()`.
@@ -46,7 +53,9 @@ class ErrorStateKalman(Filter):
             `group.right_jacobian(d)`, which is exact to first order.
     Raises:
         ModelError: two measurements of one name, a state or control that the system does not have, a noise both in
-            rates and in measurements, a gate outside of (0, 1), a reset that is not a function of two arguments.
+            rates and in measurements, a gate outside of (0, 1), a reset that is not a function of two arguments,
+            tolerances with a method without an embedded solution.
+        InputError: invalid tolerances.
 
     Example: `tx.estimation.ErrorStateKalman(dynamics, [gps]).run({"gps": (times, positions)}, x0, P0)`.
 
@@ -61,11 +70,15 @@ class ErrorStateKalman(Filter):
         *,
         method: Any = None,
         max_step: float | None = None,
+        rtol: Any = None,
+        atol: Any = None,
+        control: StepControl | None = None,
         gate: float | None = None,
         noise: NoiseDiscretization | None = None,
         reset: Reset = Product.right_jacobian,
     ) -> None:
-        super().__init__(dynamics, measurements, method=method, max_step=max_step, gate=gate, noise=noise)
+        steps: dict[str, Any] = {"max_step": max_step, "rtol": rtol, "atol": atol, "control": control}
+        super().__init__(dynamics, measurements, method=method, gate=gate, noise=noise, **steps)
         callable_with("reset", reset, ("group", "d"), ModelError)
         self.reset = reset
 
@@ -102,11 +115,17 @@ class ErrorStateKalman(Filter):
         Returns:
             The paths `header`, `source` and `test`.
         Raises:
-            ModelError: a part that has no scalar form; two names that become the same in C.
+            ModelError: a filter with tolerances; a part that has no scalar form; two names that become the same in C.
             InputError: a name that is not a C identifier, or another dtype; a directory that is not writable, or that
                 contains other files of these names.
         """
         from .filter_code import write_filter
+
+        if self.adaptive is not None:
+            raise ModelError(
+                "to_c: a prediction with rtol has no form in C.\n"
+                "  fix: export a filter without rtol and atol, and call its prediction several times with short steps"
+            )
 
         return write_filter(self, directory, name=name, dtype=dtype, tolerance=tolerance)
 

@@ -14,34 +14,22 @@ import numpy as np
 
 from ..checks import listed, number, real_array, reals
 from ..errors import InputError, ModelError, ShapeError
+from ..integrators import StepControl
 from ..jax_inside import is_traced
 from ..linear.labels import labels, tangent_shapes
 from ..progress import watching
 from ..scalar.kernel_function import KernelFunction
 from ..system.dynamics import Arrays, Dynamics
 from ..system.inputs import Values, precision
+from .consistency import gate_limit
 from .filter_run import FilterRun, Innovations
 from .measurement import Measurement, check_definite
 from .observability import observability
-from .process_noise import NoiseDiscretization
+from .prediction.adaptive_prediction import AdaptivePrediction, Estimate, Prediction, method_of_tolerances
+from .prediction.process_noise import NoiseDiscretization
 from .records import Records, Timeline, check_elements, controls_on, jumps_of, timeline_of
 from .stochastic_model import OperatingPoint, StochasticModel
 from .update import Update
-
-
-class Estimate(NamedTuple):
-    """The estimate $x_true = x Exp(d)$: states x by name, and the covariance P (n, n) of d, in squares of its units."""
-
-    x: Arrays
-    P: jax.Array
-
-
-class Prediction(NamedTuple):
-    """The estimate x, P before a measurement, and the transition matrix Phi (n, n) of errors, $d(t + h) = Phi d(t)$."""
-
-    x: Arrays
-    P: jax.Array
-    transition: jax.Array
 
 
 class RunStages(NamedTuple):
@@ -64,6 +52,7 @@ class Filter(ABC):
         measurements: the models of the sensors, a `Measurement` each.
         method: the integration method of the mean; RKMK with RK4 by default.
         max_step: the longest step of a prediction in s; by default there is one step between two times of a run.
+        rtol, atol, control: as for `ErrorStateKalman`.
         gate: a probability: a measurement is used only if its normalised innovation squared is below the chi-square
             quantile of this probability. By default all measurements are used.
         noise: the discretisation of continuous noise: `VanLoan()`, the default, or `Trapezoidal()`.
@@ -79,16 +68,22 @@ class Filter(ABC):
         *,
         method: Any = None,
         max_step: float | None = None,
+        rtol: Any = None,
+        atol: Any = None,
+        control: StepControl | None = None,
         gate: float | None = None,
         noise: NoiseDiscretization | None = None,
     ) -> None:
+        adaptive = any(option is not None for option in (rtol, atol, control))
+        method = method_of_tolerances(method) if adaptive else method
         self.model = StochasticModel(dynamics, measurements, method, noise)
+        self.adaptive = AdaptivePrediction(self.model, rtol, atol, control) if adaptive else None
         if max_step is not None:
             number("max_step", max_step, "a positive number of s", lambda h: h > 0.0, ModelError)
         if gate is not None:
             number("gate", gate, "a probability between 0 and 1", lambda p: 0.0 < p < 1.0, ModelError)
         self.max_step, self.gate = max_step, gate
-        self.limits = {name: _limit(gate, m.group.dimension) for name, m in self.model.measurements.items()}
+        self.limits = {name: gate_limit(gate, m.group.dimension) for name, m in self.model.measurements.items()}
 
     @functools.cached_property
     def in_arrays(self) -> Filter:
@@ -124,10 +119,14 @@ class Filter(ABC):
 
     @functools.cached_property
     def _propagated(self) -> Callable[[OperatingPoint, jax.Array, jax.Array], Prediction]:
-        """`propagated` as one kernel where it can be."""
-        if not self.in_scalars:
-            return self.propagated
-        return KernelFunction(self.in_arrays.propagated, self.model.dynamics.backend)
+        """`propagated` as one kernel where it can be, by several steps with tolerances."""
+        one_step: Callable[..., Prediction] = self.propagated
+        if self.in_scalars:
+            one_step = KernelFunction(self.in_arrays.propagated, self.model.dynamics.backend)
+        adaptive = self.adaptive
+        if adaptive is None:
+            return one_step
+        return lambda point, P, h: adaptive(one_step, point, P, self.multiplied(P), h)
 
     @functools.cached_property
     def _corrected(self) -> Mapping[str, Callable[[OperatingPoint, jax.Array, jax.Array], Update]]:
@@ -251,10 +250,18 @@ class Filter(ABC):
     def _along(self) -> Callable[[RunStages], tuple[jax.Array, jax.Array]]:
         """The transition matrices and the information of measurements along the motion of the mean."""
 
+        def one_step(point: OperatingPoint, P: jax.Array, h: jax.Array) -> Prediction:
+            x, transition, _ = self.model.step(point, h)
+            return Prediction(x, P, transition)
+
+        def moved(point: OperatingPoint, h: jax.Array) -> Prediction:
+            one = jnp.eye(self.model.dimension, dtype=h.dtype)
+            return self.adaptive(one_step, point, one, one, h) if self.adaptive else one_step(point, one, h)
+
         def along(ts: Any, hs: Any, present: Any, controls: Any, x0: Any, params: Any) -> Any:
             def advance(x: Arrays, row: Any) -> tuple[Arrays, Any]:
                 t, h, seen, u = row
-                x, transition, _ = self.model.step(OperatingPoint(t - h, x, u, params), h)
+                x, _, transition, *_ = moved(OperatingPoint(t - h, x, u, params), h)
                 information = jnp.zeros_like(transition)
                 for name in seen:
                     _, H, R = self.model.sensitivity(name, OperatingPoint(t, x, u, params))
@@ -298,7 +305,8 @@ class Filter(ABC):
             information = information + update.information
         ts = jnp.asarray(timeline.ts, post.P.dtype)
         return FilterRun(
-            ts, post.x, post.P, prior.x, prior.P, prior.transition, information, innovations, total, self.model.group
+            *(ts, post.x, post.P, prior.x, prior.P, prior.transition, information, innovations, total),
+            *(self.model.group, prior.steps, prior.code),
         )
 
     def scanned(
@@ -389,12 +397,3 @@ class Filter(ABC):
             check_definite("P", np.asarray(array), n, InputError, semi=True)
         value = jnp.asarray(array, dtype)
         return value if value.ndim == 2 else jnp.diag(jnp.broadcast_to(value, (n,)))
-
-
-def _limit(gate: float | None, size: int) -> float | None:
-    """The quantile of chi-square of a gate."""
-    if gate is None:
-        return None
-    from scipy.stats import chi2
-
-    return float(chi2.ppf(gate, size))

@@ -14,6 +14,7 @@ import numpy as np
 from ..checks import listed, real_array
 from ..errors import EstimationError, InputError, ShapeError
 from ..groups import Product
+from ..integrators import Result
 from ..linear.labels import labels, tangent_shapes
 from ..progress import watching
 from ..system.dynamics import Arrays
@@ -60,6 +61,8 @@ class FilterRun:
         innovations: by measurement, its `Innovations`.
         log_likelihood: log-likelihood of all measurements used.
         group: the group of the state.
+        steps: (k,) accepted steps of the prediction before each time, with tolerances, else None.
+        codes: (k,) numbers of the `Result` of each prediction, zero where it reached its end; None without tolerances.
     """
 
     ts: jax.Array
@@ -72,12 +75,17 @@ class FilterRun:
     innovations: dict[str, Innovations]
     log_likelihood: jax.Array
     group: Product = dataclasses.field(metadata={"static": True})
+    steps: jax.Array | None = None
+    codes: jax.Array | None = None
 
     @property
     def result(self) -> str:
-        """The status: "successful", or the failure with its time: non-finite numbers, or a covariance that is not
-        positive semidefinite.
+        """The status: "successful", or the failure with its time: a prediction that cannot meet its tolerances,
+        non-finite numbers, or a covariance that is not positive semidefinite.
         """
+        if self.codes is not None and (codes := np.asarray(self.codes)).any():
+            first = Result(codes[tuple(np.argwhere(codes)[0])])
+            return f"stopped in the prediction {self._first(codes != 0)}, {first}"
         P = np.asarray(self.P, float)
         finite = np.isfinite(P).all(axis=(-2, -1))
         for x in self.xs.values():
@@ -108,7 +116,8 @@ class FilterRun:
         if (result := self.result) != "successful":
             raise EstimationError(
                 f"the run of the filter is {result}.\n"
-                "  fix: use shorter steps (max_step=...), other units, or a larger covariance of noise and measurements"
+                "  fix: use shorter steps (max_step=...), or with tolerances looser ones or more steps "
+                "(control=tx.StepControl(max_steps=...)), other units, or a larger covariance of noise and measurements"
             )
 
     def deviations(self) -> Arrays:

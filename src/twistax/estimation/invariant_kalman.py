@@ -14,11 +14,12 @@ import numpy as np
 
 from ..errors import ModelError
 from ..groups import Product
+from ..integrators import StepControl
 from ..system.dynamics import Arrays, Dynamics, need_compiled
 from ..system.inputs import Values
 from .error_state_kalman import ErrorStateKalman
 from .measurement import Measurement
-from .process_noise import NoiseDiscretization
+from .prediction.process_noise import NoiseDiscretization
 
 
 class Invariance(enum.Enum):
@@ -47,7 +48,7 @@ class InvariantKalman(ErrorStateKalman):
     Use one state on `tx.ExtendedPose` for attitude, velocity and position; as three states they are not group-affine.
 
     Args:
-        dynamics, measurements, method, max_step, gate, noise: as for `ErrorStateKalman`.
+        dynamics, measurements, method, max_step, rtol, atol, control, gate, noise: as for `ErrorStateKalman`.
         invariance: `Invariance.LEFT` or `Invariance.RIGHT`.
     Raises:
         ModelError: the errors of `ErrorStateKalman`.
@@ -66,13 +67,17 @@ class InvariantKalman(ErrorStateKalman):
         invariance: Invariance = Invariance.LEFT,
         method: Any = None,
         max_step: float | None = None,
+        rtol: Any = None,
+        atol: Any = None,
+        control: StepControl | None = None,
         gate: float | None = None,
         noise: NoiseDiscretization | None = None,
     ) -> None:
         if not isinstance(invariance, Invariance):
             raise ModelError(f"invariance expects Invariance.LEFT or Invariance.RIGHT, got {invariance!r}")
         reset = _unmoved if invariance is Invariance.LEFT else _transported
-        super().__init__(dynamics, measurements, method=method, max_step=max_step, gate=gate, noise=noise, reset=reset)
+        steps: dict[str, Any] = {"max_step": max_step, "rtol": rtol, "atol": atol, "control": control}
+        super().__init__(dynamics, measurements, method=method, gate=gate, noise=noise, reset=reset, **steps)
         self.invariance = invariance
 
     def affinity(self, u: Values | None = None, params: Values | None = None, *, seed: int = 0) -> GroupAffinity:

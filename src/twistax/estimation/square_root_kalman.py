@@ -12,7 +12,7 @@ from ..errors import ModelError
 from ..system.export import CFiles
 from .covariance_root import CovarianceRoot, triangular
 from .error_state_kalman import ErrorStateKalman
-from .filter import Prediction
+from .prediction.adaptive_prediction import Prediction
 from .stochastic_model import OperatingPoint
 from .update import LinearMeasurement, Update, root_update
 
@@ -26,7 +26,7 @@ class SquareRootKalman(ErrorStateKalman):
     any round-off. In exact arithmetic the results are those of `ErrorStateKalman`.
 
     Args:
-        dynamics, measurements, method, max_step, gate, noise, reset: as for `ErrorStateKalman`.
+        dynamics, measurements, method, max_step, rtol, atol, control, gate, noise, reset: as for `ErrorStateKalman`.
     Raises:
         ModelError: the errors of `ErrorStateKalman`.
 

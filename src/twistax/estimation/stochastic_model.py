@@ -21,7 +21,7 @@ from ..scalar.kernel_function import KernelFunction
 from ..system.dynamics import Arrays, Dynamics, compile, need_compiled
 from ..system.system import System
 from .measurement import Measurement
-from .process_noise import NoiseDiscretization, VanLoan
+from .prediction.process_noise import NoiseDiscretization, VanLoan
 from .update import LinearMeasurement
 
 

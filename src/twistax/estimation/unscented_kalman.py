@@ -10,7 +10,8 @@ import jax.numpy as jnp
 
 from ..groups import Group
 from .covariance_root import CovarianceRoot
-from .filter import Filter, Prediction
+from .filter import Filter
+from .prediction.adaptive_prediction import Prediction
 from .stochastic_model import OperatingPoint
 from .update import LinearMeasurement, Update, linear_update, symmetric
 
@@ -29,6 +30,8 @@ class UnscentedKalman(Filter):
         measurements: the models of the sensors, a `tx.Measurement` each.
         method: the integration method of the mean; RKMK with RK4 by default.
         max_step: the longest step of a prediction in s; by default there is one step between two times.
+        rtol, atol, control: as for `ErrorStateKalman`; the errors are those at the mean, with the derivative of the
+            step there.
         gate: a probability, as for `ErrorStateKalman`.
         noise: as for `ErrorStateKalman`.
     Raises:

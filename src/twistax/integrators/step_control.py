@@ -177,6 +177,10 @@ class Tolerances(NamedTuple):
             for name in deviations
         }
 
+    def mean_square_of_deviations(self, errors: Blocks, deviations: Blocks) -> jax.Array:
+        """The mean square of errors of standard deviations by state, with the deviations as sizes."""
+        return jnp.mean(jnp.square(_flat(errors) / self._replace(scale={})._allowed(deviations)))
+
     def reach(self, local: StateCoordinates, y: Blocks) -> jax.Array:
         """The size of a state in the same units."""
         sizes = local.sizes(y, y)

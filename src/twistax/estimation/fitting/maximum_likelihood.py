@@ -24,7 +24,7 @@ from ...system.dynamics import Dynamics, need_compiled
 from ...system.inputs import Values
 from ..error_state_kalman import ErrorStateKalman
 from ..measurement import Measurement, check_definite
-from ..process_noise import NoiseDiscretization
+from ..prediction.process_noise import NoiseDiscretization
 from ..smoothers.robust_losses import RobustLoss, checked_losses
 from .experiment import SegmentedData, experiments_of, segmented, staged
 from .multiple_shooting import Prior, ShootingSteps, scaled_eigenvalues, solved

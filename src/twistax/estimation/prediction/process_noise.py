@@ -11,7 +11,7 @@ from typing import Any, ClassVar, TypeAlias
 import jax
 import jax.numpy as jnp
 
-from .update import symmetric
+from ..update import symmetric
 
 #: From a fraction of a step to F (n, n) and G W G^T (n, n) there: $d' = F d + G w$ with the intensity W of w.
 LocalNoise: TypeAlias = Callable[[float], tuple[jax.Array, jax.Array]]

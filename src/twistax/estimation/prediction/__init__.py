@@ -1,0 +1,1 @@
+"""The prediction of estimates: the noise of a step, and steps whose lengths follow from tolerances."""
