@@ -15,9 +15,10 @@ from ..groups import Product
 from ..system.dynamics import Dynamics
 from ..system.export import CFiles
 from .filter import Filter, Prediction
+from .imu.preintegrated_navigation import PreintegratedModel, PreintegratedNavigation
 from .measurement import Measurement
 from .process_noise import NoiseDiscretization
-from .stochastic_model import OperatingPoint
+from .stochastic_model import OperatingPoint, StochasticModel
 from .update import LinearMeasurement, Reset, Update, linear_update, symmetric
 
 
@@ -35,7 +36,7 @@ class ErrorStateKalman(Filter):
     state.
 
     Args:
-        dynamics: the compiled system, with `tx.Noise` in its rates.
+        dynamics: the compiled system, with `tx.Noise` in its rates; or a `PreintegratedNavigation`.
         measurements: the models of the sensors, a `tx.Measurement` each.
         method: the integration method of the mean; RKMK with RK4 by default.
         max_step: the longest step of a prediction in s; by default there is one step between two times.
@@ -56,7 +57,7 @@ class ErrorStateKalman(Filter):
 
     def __init__(
         self,
-        dynamics: Dynamics,
+        dynamics: Dynamics | PreintegratedNavigation,
         measurements: Iterable[Measurement],
         *,
         method: Any = None,
@@ -68,6 +69,14 @@ class ErrorStateKalman(Filter):
         super().__init__(dynamics, measurements, method=method, max_step=max_step, gate=gate, noise=noise)
         callable_with("reset", reset, ("group", "d"), ModelError)
         self.reset = reset
+
+    def modelled(self, dynamics: Any, measurements: Iterable[Measurement], method: Any, noise: Any) -> StochasticModel:
+        if not isinstance(dynamics, PreintegratedNavigation):
+            return super().modelled(dynamics, measurements, method, noise)
+        for name, value in {"method": method, "noise": noise}.items():
+            if value is not None:
+                raise ModelError(f"{name} expects None where readings are preintegrated, got {value!r}")
+        return PreintegratedModel(dynamics, measurements)
 
     def propagated(self, point: OperatingPoint, P: jax.Array, h: jax.Array) -> Prediction:
         x, transition, Q = self.model.step(point, h)
@@ -107,6 +116,11 @@ class ErrorStateKalman(Filter):
                 contains other files of these names.
         """
         from .filter_code import write_filter
+
+        if isinstance(self.model, PreintegratedModel):
+            raise ModelError(
+                "to_c: a filter with preintegrated readings has no C code.\n  fix: use a filter of navigation.dynamics"
+            )
 
         return write_filter(self, directory, name=name, dtype=dtype, tolerance=tolerance)
 

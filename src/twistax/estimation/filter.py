@@ -24,7 +24,7 @@ from .filter_run import FilterRun, Innovations
 from .measurement import Measurement, check_definite
 from .observability import observability
 from .process_noise import NoiseDiscretization
-from .records import Records, Timeline, check_elements, controls_on, jumps_of, timeline_of
+from .records import Records, Timeline, check_elements, timeline_of
 from .stochastic_model import OperatingPoint, StochasticModel
 from .update import Update
 
@@ -82,7 +82,7 @@ class Filter(ABC):
         gate: float | None = None,
         noise: NoiseDiscretization | None = None,
     ) -> None:
-        self.model = StochasticModel(dynamics, measurements, method, noise)
+        self.model = self.modelled(dynamics, measurements, method, noise)
         if max_step is not None:
             number("max_step", max_step, "a positive number of s", lambda h: h > 0.0, ModelError)
         if gate is not None:
@@ -96,6 +96,10 @@ class Filter(ABC):
         in_arrays = copy.copy(self)
         in_arrays.model = self.model.in_arrays
         return in_arrays
+
+    def modelled(self, dynamics: Any, measurements: Iterable[Measurement], method: Any, noise: Any) -> StochasticModel:
+        """The stochastic model of the dynamics."""
+        return StochasticModel(dynamics, measurements, method, noise)
 
     # ---- methods that define a filter --------------------------------------------------------------------------------
 
@@ -277,9 +281,9 @@ class Filter(ABC):
         start = 0.0 if first is None else first
         point = self._point(start, x0, self._first(u, start), params, True, self.model.measurements)
         timeline = timeline_of(
-            records, self.model.measurements, first, times, jumps_of(u), self.max_step, point.t.dtype
+            records, self.model.measurements, first, times, self.model.jumps(u), self.max_step, point.t.dtype
         )
-        controls = controls_on(u, timeline.ts, point.t.dtype)
+        controls = self.model.stage_controls(u, timeline.ts, point.x, point.t.dtype)
         # Lengths are differences in double precision: single precision loses them where times are large.
         lengths = np.diff(timeline.ts, prepend=timeline.ts[0])
         ts, hs = (jnp.asarray(a, point.t.dtype) for a in (timeline.ts, lengths))

@@ -48,8 +48,8 @@ class PreintegratedImu:
     Attributes:
         duration: T, s.
         rotation, velocity, position: $R_0^T R_1$; $R_0^T (v_1 - v_0 - g T)$; $R_0^T (p_1 - p_0 - v_0 T - g T^2 / 2)$.
-        covariance: (9, 9) covariance of the error $d = [phi; dv; dp]$: the true rotation is $R Exp(phi)$, the true
-            vectors are $v + dv$ and $p + dp$.
+        joint_covariance: (15, 15) covariance of $[d; db]$ with the error $d = [phi; dv; dp]$ and the change db of the
+            biases by their random walks: the true rotation is $R Exp(phi)$, the true vectors are $v + dv$ and $p + dp$.
         jacobian: (9, 6), the derivative of d with respect to the biases of gyroscope and accelerometer.
         bias: (6,), the biases that were subtracted: rad/s and m/s2.
     """
@@ -58,9 +58,14 @@ class PreintegratedImu:
     rotation: jax.Array
     velocity: jax.Array
     position: jax.Array
-    covariance: jax.Array
+    joint_covariance: jax.Array
     jacobian: jax.Array
     bias: jax.Array
+
+    @property
+    def covariance(self) -> jax.Array:
+        """(9, 9) covariance of the error $d = [phi; dv; dp]$."""
+        return self.joint_covariance[:9, :9]
 
     def corrected(self, bias: Input) -> InertialState:
         """The relative motion for other biases (6,), to first order in their change. Raises ShapeError for another
@@ -70,14 +75,18 @@ class PreintegratedImu:
         """
         (other,) = of_shape("corrected", {"bias": (6,)}, bias)
         motion = {"R": self.rotation, "v": self.velocity, "p": self.position}
-        moved = _MOTION.retract(motion, self.jacobian @ (other - self.bias))
-        return InertialState(moved["R"], moved["v"], moved["p"])
+        return _inertial(_MOTION.retract(motion, self.jacobian @ (other - self.bias)))
 
-    def predict(self, start: InertialState, gravity: Input, bias: Input | None = None) -> InertialState:
-        """The state at the end, from the state at the start, gravity (3,) in m/s2 and biases (6,). Raises ShapeError
-        for another shape.
+    def predict(
+        self, start: InertialState, gravity: Input, bias: Input | None = None, error: Input | None = None
+    ) -> InertialState:
+        """The state at the end, from the state at the start, gravity (3,) in m/s2, biases (6,) and the error d (9,) of
+        the relative motion, which is zero by default. Raises ShapeError for another shape.
         """
         delta, T = self._delta(bias), self.duration
+        if error is not None:
+            motion = {"R": delta.rotation, "v": delta.velocity, "p": delta.position}
+            delta = _inertial(_MOTION.retract(motion, *of_shape("predict", {"error": (9,)}, error)))
         R, v, p, g = of_shape("predict", {**_STATE, "gravity": (3,)}, *start, gravity)
         return InertialState(
             multiply(R, delta.rotation),
@@ -118,9 +127,14 @@ class Preintegration:
 
     where Forster et al. use one step of Euler's method. Traceable.
 
+    A bias that walks shifts the readings of an interval of length h by the mean of its change over the interval. The
+    covariance of this mean and of the change at the end is $sigma^2 h [1/3, 1/2; 1/2, 1]$.
+
     Args:
         gyro: density of the gyroscope's white noise, rad/s per $Hz^(1/2)$: a number or one for each axis.
         accelerometer: density of the accelerometer's white noise, m/s2 per $Hz^(1/2)$.
+        gyro_walk, accelerometer_walk: densities of the white noise that drives the random walks of the biases, rad/s2
+            and m/s3 per $Hz^(1/2)$; zero by default.
     Raises:
         ModelError: densities that are negative or of another shape.
 
@@ -130,8 +144,11 @@ class Preintegration:
     IEEE TRO 33 (2017), sec. VI.
     """
 
-    def __init__(self, gyro: Any, accelerometer: Any) -> None:
+    def __init__(self, gyro: Any, accelerometer: Any, *, gyro_walk: Any = 0.0, accelerometer_walk: Any = 0.0) -> None:
         self.densities = np.concatenate([_density("gyro", gyro), _density("accelerometer", accelerometer)])
+        self.walks = np.concatenate(
+            [_density("gyro_walk", gyro_walk), _density("accelerometer_walk", accelerometer_walk)]
+        )
 
     def integrate(self, gyro: Input, accelerometer: Input, h: Any, bias: Input | None = None) -> PreintegratedImu:
         """The relative motion from k readings.
@@ -158,35 +175,65 @@ class Preintegration:
             raise InputError(f"h expects positive numbers of s, got {np.asarray(lengths).min():g}")
         forces, biases, lengths = (jnp.asarray(a, dtype) for a in (forces, biases, lengths))
         lengths = jnp.broadcast_to(lengths, (count,))
-        readings = jnp.concatenate([rates, forces], axis=1) - biases[None, :]
-        motion, P, J = _integrated(readings, lengths, jnp.asarray(self.densities, dtype) ** 2)
-        return PreintegratedImu(jnp.sum(lengths), motion["R"], motion["v"], motion["p"], P, J, biases)
+        readings = jnp.concatenate([rates, forces], axis=1)
+        return jax.tree.map(lambda a: a[-1], self.accumulated(readings, lengths, biases, jnp.zeros(count, bool)))
+
+    def accumulated(
+        self, readings: jax.Array, lengths: jax.Array, bias: jax.Array, restarts: jax.Array
+    ) -> PreintegratedImu:
+        """The relative motion after each of k readings, with a leading axis of k. Arguments are not checked.
+
+        Args:
+            readings: (k, 6), gyroscope and accelerometer.
+            lengths: (k,) in s.
+            bias: (6,), which is subtracted.
+            restarts: (k,), whether an integration starts with this reading.
+        """
+        intensities = (jnp.asarray(a, readings.dtype) ** 2 for a in (self.densities, self.walks))
+        return _accumulated(readings, lengths, bias, restarts, *intensities)
 
 
 @jax.jit
-def _integrated(readings: jax.Array, lengths: jax.Array, intensities: jax.Array) -> tuple[Any, jax.Array, jax.Array]:
-    """The motion, its covariance and its derivative by the biases."""
+def _accumulated(
+    readings: jax.Array,
+    lengths: jax.Array,
+    bias: jax.Array,
+    restarts: jax.Array,
+    white: jax.Array,
+    walk: jax.Array,
+) -> PreintegratedImu:
     dtype = readings.dtype
+    start = (
+        jnp.zeros((), dtype),
+        _MOTION.identity(dtype),
+        jnp.zeros((15, 15), dtype),
+        jnp.zeros((9, 6), dtype),
+    )
 
-    def advance(carry: Any, row: Any) -> tuple[Any, None]:
-        motion, P, J = carry
-        reading, h = row
-        after, A, B = _step(motion, reading, h)
-        noise = B * (intensities / h)[None, :]
-        return (after, A @ P @ A.T + noise @ B.T, A @ J - B), None
+    def advance(carry: Any, row: Any) -> tuple[Any, Any]:
+        reading, h, restart = row
+        T, motion, P, J = jax.tree.map(lambda a, b: jnp.where(restart, a, b), start, carry)
+        after, A, B = _step(motion, reading - bias, h)
+        F = jnp.eye(15, dtype=dtype).at[:9].set(jnp.concatenate([A, -h * B], axis=1))
+        moved = B * (h * white + h**3 / 3.0 * walk)[None, :] @ B.T
+        cross = -0.5 * h * h * B * walk[None, :]
+        Q = jnp.block([[moved, cross], [cross.T, jnp.diag(h * walk)]])
+        P = F @ P @ F.T + Q
+        new = (T + h, after, 0.5 * (P + P.T), A @ J - h * B)
+        return new, new
 
-    start = (_MOTION.identity(dtype), jnp.zeros((9, 9), dtype), jnp.zeros((9, 6), dtype))
-    (motion, P, J), _ = jax.lax.scan(advance, start, (readings, lengths))
-    return motion, 0.5 * (P + P.T), J
+    _, (T, motion, P, J) = jax.lax.scan(advance, start, (readings, lengths, restarts))
+    biases = jnp.broadcast_to(bias, (len(lengths), 6))
+    return PreintegratedImu(T, motion["R"], motion["v"], motion["p"], P, J, biases)
 
 
 def _step(motion: dict[str, jax.Array], reading: jax.Array, h: jax.Array) -> tuple[Any, jax.Array, jax.Array]:
-    """The motion after a reading [w; a] that is held for h, and its derivatives by motion (9, 9) and reading (9, 6)."""
+    """The motion after a reading [w; a] that is held for h, and its derivatives by motion (9, 9) and by h [w; a] (9, 6)."""
 
     def after(z: jax.Array) -> dict[str, jax.Array]:
-        before, shifted = _MOTION.retract(motion, z[:9]), reading + z[9:]
+        before, moved = _MOTION.retract(motion, z[:9]), h * reading + z[9:]
         R, v, p = before["R"], before["v"], before["p"]
-        turn, force = shifted[:3] * h, shifted[3:] * h
+        turn, force = moved[:3], moved[3:]
         W, square = hat(turn), turn @ turn
         once, twice = multiply(W, force), multiply(W, multiply(W, force))
         dv = force + stumpff(2, square) * once + stumpff(3, square) * twice
@@ -197,6 +244,10 @@ def _step(motion: dict[str, jax.Array], reading: jax.Array, h: jax.Array) -> tup
     end = after(zero)
     _, slopes = value_and_jacobian(lambda z: _MOTION.difference(end, after(z)), zero)
     return end, slopes[:, :9], slopes[:, 9:]
+
+
+def _inertial(motion: dict[str, jax.Array]) -> InertialState:
+    return InertialState(motion["R"], motion["v"], motion["p"])
 
 
 def _density(name: str, value: Any) -> np.ndarray:
