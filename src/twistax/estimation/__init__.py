@@ -27,7 +27,7 @@ __all__ = [
     "Estimate", "Experiment", "Filter", "FilterRun", "FixedLagSmoother", "GroupAffinity", "HuberLoss",
     "InertialState", "Innovations", "Invariance", "InvariantKalman", "MaximumLikelihood", "NoiseDiscretization",
     "Observability", "ParameterEstimate", "Prediction", "PreintegratedImu", "PreintegratedNavigation", "Preintegration",
-    "RauchTungStriebel", "RobustLoss", "Smoothed", "SquareRootKalman", "Trapezoidal", "UnscentedKalman", "Update", "VanLoan", "Verdict",
-    "allan", "consistency", "group_affinity",
+    "RauchTungStriebel", "RobustLoss", "Smoothed", "SquareRootKalman", "Trapezoidal", "UnscentedKalman", "Update",
+    "VanLoan", "Verdict", "allan", "consistency", "group_affinity",
 ]
 # fmt: on

@@ -18,7 +18,7 @@ from .filter import Filter, Prediction
 from .imu.preintegrated_navigation import PreintegratedModel, PreintegratedNavigation
 from .measurement import Measurement
 from .process_noise import NoiseDiscretization
-from .stochastic_model import OperatingPoint, StochasticModel
+from .stochastic_model import OperatingPoint
 from .update import LinearMeasurement, Reset, Update, linear_update, symmetric
 
 
@@ -69,14 +69,6 @@ class ErrorStateKalman(Filter):
         super().__init__(dynamics, measurements, method=method, max_step=max_step, gate=gate, noise=noise)
         callable_with("reset", reset, ("group", "d"), ModelError)
         self.reset = reset
-
-    def modelled(self, dynamics: Any, measurements: Iterable[Measurement], method: Any, noise: Any) -> StochasticModel:
-        if not isinstance(dynamics, PreintegratedNavigation):
-            return super().modelled(dynamics, measurements, method, noise)
-        for name, value in {"method": method, "noise": noise}.items():
-            if value is not None:
-                raise ModelError(f"{name} expects None where readings are preintegrated, got {value!r}")
-        return PreintegratedModel(dynamics, measurements)
 
     def propagated(self, point: OperatingPoint, P: jax.Array, h: jax.Array) -> Prediction:
         x, transition, Q = self.model.step(point, h)

@@ -21,11 +21,12 @@ from ..scalar.kernel_function import KernelFunction
 from ..system.dynamics import Arrays, Dynamics
 from ..system.inputs import Values, precision
 from .filter_run import FilterRun, Innovations
+from .imu.preintegrated_navigation import PreintegratedNavigation, model_of
 from .measurement import Measurement, check_definite
 from .observability import observability
 from .process_noise import NoiseDiscretization
 from .records import Records, Timeline, check_elements, timeline_of
-from .stochastic_model import OperatingPoint, StochasticModel
+from .stochastic_model import OperatingPoint
 from .update import Update
 
 
@@ -60,7 +61,7 @@ class Filter(ABC):
     """A filter for a compiled system with noise and measurements.
 
     Args:
-        dynamics: the compiled system.
+        dynamics: the compiled system, or a `PreintegratedNavigation`.
         measurements: the models of the sensors, a `Measurement` each.
         method: the integration method of the mean; RKMK with RK4 by default.
         max_step: the longest step of a prediction in s; by default there is one step between two times of a run.
@@ -74,7 +75,7 @@ class Filter(ABC):
 
     def __init__(
         self,
-        dynamics: Dynamics,
+        dynamics: Dynamics | PreintegratedNavigation,
         measurements: Iterable[Measurement],
         *,
         method: Any = None,
@@ -82,7 +83,7 @@ class Filter(ABC):
         gate: float | None = None,
         noise: NoiseDiscretization | None = None,
     ) -> None:
-        self.model = self.modelled(dynamics, measurements, method, noise)
+        self.model = model_of(dynamics, measurements, method, noise)
         if max_step is not None:
             number("max_step", max_step, "a positive number of s", lambda h: h > 0.0, ModelError)
         if gate is not None:
@@ -96,10 +97,6 @@ class Filter(ABC):
         in_arrays = copy.copy(self)
         in_arrays.model = self.model.in_arrays
         return in_arrays
-
-    def modelled(self, dynamics: Any, measurements: Iterable[Measurement], method: Any, noise: Any) -> StochasticModel:
-        """The stochastic model of the dynamics."""
-        return StochasticModel(dynamics, measurements, method, noise)
 
     # ---- methods that define a filter --------------------------------------------------------------------------------
 
@@ -280,9 +277,8 @@ class Filter(ABC):
         times = reals("save_at", save_at, InputError).astype(float).reshape(-1)
         start = 0.0 if first is None else first
         point = self._point(start, x0, self._first(u, start), params, True, self.model.measurements)
-        timeline = timeline_of(
-            records, self.model.measurements, first, times, self.model.jumps(u), self.max_step, point.t.dtype
-        )
+        jumps = self.model.jumps(u)
+        timeline = timeline_of(records, self.model.measurements, first, times, jumps, self.max_step, point.t.dtype)
         controls = self.model.stage_controls(u, timeline.ts, point.x, point.t.dtype)
         # Lengths are differences in double precision: single precision loses them where times are large.
         lengths = np.diff(timeline.ts, prepend=timeline.ts[0])

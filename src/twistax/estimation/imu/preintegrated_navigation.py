@@ -31,7 +31,7 @@ _MOTION = "preintegrated readings"
 class PreintegratedNavigation:
     """The motion of a vehicle with an inertial measurement unit, between keyframes: the times of other measurements.
 
-    `BatchSmoother(navigation, measurements)` and `ErrorStateKalman(navigation, measurements)` have one step between two
+    `BatchSmoother` and the filters accept it in place of a compiled system, and then have one step between two
     keyframes. With the preintegrated readings $Delta R, Delta v, Delta p$ and their Jacobian by the biases,
 
         $R_1 = R_0 Delta R Exp(phi), v_1 = v_0 + g T + R_0 (Delta v + dv),$
@@ -45,7 +45,7 @@ class PreintegratedNavigation:
         imu: `Preintegration` with the densities of the sensors.
         gravity: (3,) in the world, m/s2.
     Attributes:
-        rotation, velocity, position, gyro_bias, accelerometer_bias: the states, from which measurements are written. The
+        rotation, velocity, position, gyro_bias, accelerometer_bias: the states, for expressions of measurements. The
             rotation transforms body coordinates to the world.
         dynamics: the same motion as rates, with the controls "gyro" and "accelerometer", for filters that integrate
             each reading.
@@ -98,7 +98,8 @@ class PreintegratedModel(StochasticModel):
         self.navigation = navigation
         self._readings = {control.name: control.shape for control in self.dynamics.controls}
         for measurement in self.measurements.values():
-            for leaf in leaves_of(measurement.value):
+            errors = () if measurement.covariance is None else (measurement.covariance,)
+            for leaf in leaves_of(measurement.value, *errors):
                 if isinstance(leaf, Control) and leaf.name in self._readings:
                     raise ModelError(
                         f"Measurement {measurement.name!r} reads the control {leaf.name!r}, but readings are "
@@ -126,11 +127,9 @@ class PreintegratedModel(StochasticModel):
         held = controls_on(u, ends, dtype)
         readings = jnp.concatenate([held[name] for name in ("gyro", "accelerometer")], axis=1)
         bias = jnp.concatenate([x0["gyro_bias"], x0["accelerometer_bias"]])
-        keyframe = np.isin(ends, ts)
-        restarts = jnp.asarray(np.concatenate([[True], keyframe[:-1]]))
         lengths = jnp.asarray(np.diff(ends, prepend=ends[0]), dtype)
-        motions = self.navigation.imu.accumulated(readings, lengths, bias, restarts)
-        return {_MOTION: jax.tree.map(lambda a: a[np.flatnonzero(keyframe)], motions)}
+        intervals = jnp.asarray(np.searchsorted(ts, ends), jnp.int32)
+        return {_MOTION: self.navigation.imu.over_intervals(readings, lengths, bias, intervals, len(ts))}
 
     def with_zeros(self, u: Any, dtype: Any) -> dict[str, Any]:
         zeros = {name: jnp.zeros(shape, dtype) for name, shape in self._readings.items()}
@@ -147,6 +146,9 @@ class PreintegratedModel(StochasticModel):
         _, slopes = value_and_jacobian(lambda z: self.group.difference(end, after(z)), zero)
         transition, G = slopes[:, :n], slopes[:, n:]
         return end, transition, G @ self._motion(point).joint_covariance @ G.T
+
+    def process_noise(self, point: OperatingPoint, x1: Arrays, transition: jax.Array, h: jax.Array) -> jax.Array:
+        return self.step(point, h)[2]
 
     def moved(self, point: OperatingPoint, h: jax.Array) -> Arrays:
         return self._reached(point, jnp.zeros(15, point.t.dtype))
@@ -169,3 +171,15 @@ class PreintegratedModel(StochasticModel):
         end = self._motion(point).predict(start, gravity, bias, error[:9])
         biases = {"gyro_bias": bias[:3] + error[9:12], "accelerometer_bias": bias[3:] + error[12:]}
         return {**end._asdict(), **biases}
+
+
+def model_of(
+    dynamics: Dynamics | PreintegratedNavigation, measurements: Iterable[Measurement], method: Any, noise: Any
+) -> StochasticModel:
+    """The stochastic model of a compiled system or of preintegrated readings. Raises ModelError."""
+    if not isinstance(dynamics, PreintegratedNavigation):
+        return StochasticModel(dynamics, measurements, method, noise)
+    for name, value in {"method": method, "noise": noise}.items():
+        if value is not None:
+            raise ModelError(f"{name} expects None where readings are preintegrated, got {value!r}")
+    return PreintegratedModel(dynamics, measurements)

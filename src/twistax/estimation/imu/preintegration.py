@@ -5,6 +5,7 @@ covariance.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from typing import Any, NamedTuple
 
 import jax
@@ -176,33 +177,32 @@ class Preintegration:
         forces, biases, lengths = (jnp.asarray(a, dtype) for a in (forces, biases, lengths))
         lengths = jnp.broadcast_to(lengths, (count,))
         readings = jnp.concatenate([rates, forces], axis=1)
-        return jax.tree.map(lambda a: a[-1], self.accumulated(readings, lengths, biases, jnp.zeros(count, bool)))
+        intervals = jnp.zeros(count, jnp.int32)
+        return jax.tree.map(lambda a: a[0], self.over_intervals(readings, lengths, biases, intervals, 1))
 
-    def accumulated(
-        self, readings: jax.Array, lengths: jax.Array, bias: jax.Array, restarts: jax.Array
+    def over_intervals(
+        self, readings: jax.Array, lengths: jax.Array, bias: jax.Array, intervals: jax.Array, count: int
     ) -> PreintegratedImu:
-        """The relative motion after each of k readings, with a leading axis of k. Arguments are not checked.
+        """The relative motions of several intervals, with a leading axis of them. Arguments are not checked.
 
         Args:
             readings: (k, 6), gyroscope and accelerometer.
             lengths: (k,) in s.
             bias: (6,), which is subtracted.
-            restarts: (k,), whether an integration starts with this reading.
+            intervals: (k,) int32, to which interval a reading belongs, in order.
+            count: the number of intervals.
         """
         intensities = (jnp.asarray(a, readings.dtype) ** 2 for a in (self.densities, self.walks))
-        return _accumulated(readings, lengths, bias, restarts, *intensities)
+        T, motion, P, J = _integrated((readings - bias[None, :], lengths, intervals), *intensities, count)
+        return PreintegratedImu(
+            T, motion["R"], motion["v"], motion["p"], P, J, jnp.broadcast_to(bias, (count, *bias.shape))
+        )
 
 
-@jax.jit
-def _accumulated(
-    readings: jax.Array,
-    lengths: jax.Array,
-    bias: jax.Array,
-    restarts: jax.Array,
-    white: jax.Array,
-    walk: jax.Array,
-) -> PreintegratedImu:
-    dtype = readings.dtype
+@functools.partial(jax.jit, static_argnames="count")
+def _integrated(rows: tuple[jax.Array, ...], white: jax.Array, walk: jax.Array, count: int) -> Any:
+    """Durations, motions, covariances and derivatives by the biases, from intensities of the noise."""
+    dtype = white.dtype
     start = (
         jnp.zeros((), dtype),
         _MOTION.identity(dtype),
@@ -210,25 +210,24 @@ def _accumulated(
         jnp.zeros((9, 6), dtype),
     )
 
-    def advance(carry: Any, row: Any) -> tuple[Any, Any]:
-        reading, h, restart = row
-        T, motion, P, J = jax.tree.map(lambda a, b: jnp.where(restart, a, b), start, carry)
-        after, A, B = _step(motion, reading - bias, h)
+    def advance(carry: Any, row: Any) -> tuple[Any, None]:
+        (reading, h, i), (state, before, results) = row, carry
+        T, motion, P, J = jax.tree.map(lambda a, b: jnp.where(i == before, a, b), state, start)
+        after, A, B = _step(motion, reading, h)
         F = jnp.eye(15, dtype=dtype).at[:9].set(jnp.concatenate([A, -h * B], axis=1))
         moved = B * (h * white + h**3 / 3.0 * walk)[None, :] @ B.T
         cross = -0.5 * h * h * B * walk[None, :]
-        Q = jnp.block([[moved, cross], [cross.T, jnp.diag(h * walk)]])
-        P = F @ P @ F.T + Q
+        P = F @ P @ F.T + jnp.block([[moved, cross], [cross.T, jnp.diag(h * walk)]])
         new = (T + h, after, 0.5 * (P + P.T), A @ J - h * B)
-        return new, new
+        return (new, i, jax.tree.map(lambda a, b: a.at[i].set(b), results, new)), None
 
-    _, (T, motion, P, J) = jax.lax.scan(advance, start, (readings, lengths, restarts))
-    biases = jnp.broadcast_to(bias, (len(lengths), 6))
-    return PreintegratedImu(T, motion["R"], motion["v"], motion["p"], P, J, biases)
+    results = jax.tree.map(lambda a: jnp.zeros((count, *a.shape), dtype), start)
+    (_, _, results), _ = jax.lax.scan(advance, (start, jnp.asarray(-1, jnp.int32), results), rows)
+    return results
 
 
 def _step(motion: dict[str, jax.Array], reading: jax.Array, h: jax.Array) -> tuple[Any, jax.Array, jax.Array]:
-    """The motion after a reading [w; a] that is held for h, and its derivatives by motion (9, 9) and by h [w; a] (9, 6)."""
+    """The motion after a reading [w; a] that is held for h, and its slopes by motion (9, 9) and h [w; a] (9, 6)."""
 
     def after(z: jax.Array) -> dict[str, jax.Array]:
         before, moved = _MOTION.retract(motion, z[:9]), h * reading + z[9:]
