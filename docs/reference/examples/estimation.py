@@ -62,6 +62,18 @@ start = tx.estimation.InertialState(np.eye(3), np.zeros(3), np.zeros(3))
 end = relative.predict(start, gravity=np.array([0.0, 0.0, -9.81]))
 end.position, relative.corrected(np.array([0.0, 0.0, 0.01, 0.0, 0.0, 0.0])).rotation
 
+# tx.estimation.PreintegratedNavigation
+navigation = tx.estimation.PreintegratedNavigation(imu, gravity=[0.0, 0.0, -9.81])
+fixes = tx.Measurement("fixes", navigation.position, covariance=1.0)
+inertial = tx.estimation.ErrorStateKalman(navigation, [fixes])
+held = {
+    "gyro": tx.ZeroOrderHold([0.0], [[0.0, 0.0, 0.5]]),
+    "accelerometer": tx.ZeroOrderHold([0.0], [[0.0, 0.0, 9.81]]),
+}
+at_rest = {"rotation": np.eye(3), **{name: np.zeros(3) for name in ("velocity", "position")}}
+at_rest |= {name: np.zeros(3) for name in ("gyro_bias", "accelerometer_bias")}
+inertial.run({"fixes": ([0.0, 1.0], np.zeros((2, 3)))}, at_rest, P0=0.1, u=held).xs["rotation"][-1]
+
 # tx.estimation.allan tx.estimation.AllanVariance
 rng = np.random.default_rng(0)
 rates = 2e-3 / np.sqrt(0.01) * rng.normal(size=100_000) + 5e-4 * np.sqrt(0.01) * rng.normal(size=100_000).cumsum()

@@ -8,6 +8,7 @@ from .fitting.experiment import Experiment
 from .fitting.maximum_likelihood import MaximumLikelihood, fit
 from .fitting.parameter_estimate import Combination, ParameterEstimate
 from .imu.allan import AllanVariance, allan
+from .imu.preintegrated_navigation import PreintegratedNavigation
 from .imu.preintegration import InertialState, PreintegratedImu, Preintegration
 from .invariant_kalman import GroupAffinity, Invariance, InvariantKalman, group_affinity
 from .measurement import Measurement
@@ -26,8 +27,8 @@ __all__ = [
     "AllanVariance", "BatchEstimate", "BatchSmoother", "CauchyLoss", "Combination", "Consistency", "ErrorStateKalman",
     "Estimate", "Experiment", "Filter", "FilterRun", "FixedLagSmoother", "GroupAffinity", "HuberLoss",
     "InertialState", "Innovations", "Invariance", "InvariantKalman", "MaximumLikelihood", "NoiseDiscretization",
-    "Observability", "ParameterEstimate", "Prediction", "PreintegratedImu", "Preintegration", "RauchTungStriebel",
-    "RobustLoss", "Smoothed", "SquareRootKalman", "Trapezoidal", "UnscentedKalman", "Update", "VanLoan", "Verdict",
-    "allan", "consistency", "group_affinity",
+    "Observability", "ParameterEstimate", "Prediction", "PreintegratedImu", "PreintegratedNavigation", "Preintegration",
+    "RauchTungStriebel", "RobustLoss", "Smoothed", "SquareRootKalman", "Trapezoidal", "UnscentedKalman", "Update",
+    "VanLoan", "Verdict", "allan", "consistency", "group_affinity",
 ]
 # fmt: on

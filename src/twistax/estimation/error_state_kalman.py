@@ -16,6 +16,7 @@ from ..integrators import StepControl
 from ..system.dynamics import Dynamics
 from ..system.export import CFiles
 from .filter import Filter
+from .imu.preintegrated_navigation import PreintegratedModel, PreintegratedNavigation
 from .measurement import Measurement
 from .prediction.adaptive_prediction import Prediction
 from .prediction.process_noise import NoiseDiscretization
@@ -37,7 +38,7 @@ class ErrorStateKalman(Filter):
     state.
 
     Args:
-        dynamics: the compiled system, with `tx.Noise` in its rates.
+        dynamics: the compiled system, with `tx.Noise` in its rates; or a `PreintegratedNavigation`.
         measurements: the models of the sensors, a `tx.Measurement` each.
         method: the integration method of the mean; RKMK with RK4 by default.
         max_step: the longest step of a prediction in s; by default there is one step between two times.
@@ -65,7 +66,7 @@ class ErrorStateKalman(Filter):
 
     def __init__(
         self,
-        dynamics: Dynamics,
+        dynamics: Dynamics | PreintegratedNavigation,
         measurements: Iterable[Measurement],
         *,
         method: Any = None,
@@ -125,6 +126,10 @@ class ErrorStateKalman(Filter):
             raise ModelError(
                 "to_c: a prediction with rtol has no form in C.\n"
                 "  fix: export a filter without rtol and atol, and call its prediction several times with short steps"
+            )
+        if isinstance(self.model, PreintegratedModel):
+            raise ModelError(
+                "to_c: a filter with preintegrated readings has no C code.\n  fix: use a filter of navigation.dynamics"
             )
 
         return write_filter(self, directory, name=name, dtype=dtype, tolerance=tolerance)

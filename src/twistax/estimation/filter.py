@@ -23,12 +23,13 @@ from ..system.dynamics import Arrays, Dynamics
 from ..system.inputs import Values, precision
 from .consistency import gate_limit
 from .filter_run import FilterRun, Innovations
+from .imu.preintegrated_navigation import PreintegratedNavigation, model_of
 from .measurement import Measurement, check_definite
 from .observability import observability
 from .prediction.adaptive_prediction import AdaptivePrediction, Estimate, Prediction, method_of_tolerances
 from .prediction.process_noise import NoiseDiscretization
-from .records import Records, Timeline, check_elements, controls_on, jumps_of, timeline_of
-from .stochastic_model import OperatingPoint, StochasticModel
+from .records import Records, Timeline, check_elements, timeline_of
+from .stochastic_model import OperatingPoint
 from .update import Update
 
 
@@ -48,7 +49,7 @@ class Filter(ABC):
     """A filter for a compiled system with noise and measurements.
 
     Args:
-        dynamics: the compiled system.
+        dynamics: the compiled system, or a `PreintegratedNavigation`.
         measurements: the models of the sensors, a `Measurement` each.
         method: the integration method of the mean; RKMK with RK4 by default.
         max_step: the longest step of a prediction in s; by default there is one step between two times of a run.
@@ -63,7 +64,7 @@ class Filter(ABC):
 
     def __init__(
         self,
-        dynamics: Dynamics,
+        dynamics: Dynamics | PreintegratedNavigation,
         measurements: Iterable[Measurement],
         *,
         method: Any = None,
@@ -75,8 +76,10 @@ class Filter(ABC):
         noise: NoiseDiscretization | None = None,
     ) -> None:
         adaptive = any(option is not None for option in (rtol, atol, control))
+        if adaptive and isinstance(dynamics, PreintegratedNavigation):
+            raise ModelError("rtol, atol and control expect None where readings are preintegrated")
         method = method_of_tolerances(method) if adaptive else method
-        self.model = StochasticModel(dynamics, measurements, method, noise)
+        self.model = model_of(dynamics, measurements, method, noise)
         self.adaptive = AdaptivePrediction(self.model, rtol, atol, control) if adaptive else None
         if max_step is not None:
             number("max_step", max_step, "a positive number of s", lambda h: h > 0.0, ModelError)
@@ -283,10 +286,9 @@ class Filter(ABC):
         times = reals("save_at", save_at, InputError).astype(float).reshape(-1)
         start = 0.0 if first is None else first
         point = self._point(start, x0, self._first(u, start), params, True, self.model.measurements)
-        timeline = timeline_of(
-            records, self.model.measurements, first, times, jumps_of(u), self.max_step, point.t.dtype
-        )
-        controls = controls_on(u, timeline.ts, point.t.dtype)
+        jumps = self.model.jumps(u)
+        timeline = timeline_of(records, self.model.measurements, first, times, jumps, self.max_step, point.t.dtype)
+        controls = self.model.stage_controls(u, timeline.ts, point.x, point.t.dtype)
         # Lengths are differences in double precision: single precision loses them where times are large.
         lengths = np.diff(timeline.ts, prepend=timeline.ts[0])
         ts, hs = (jnp.asarray(a, point.t.dtype) for a in (timeline.ts, lengths))

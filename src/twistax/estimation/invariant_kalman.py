@@ -18,6 +18,7 @@ from ..integrators import StepControl
 from ..system.dynamics import Arrays, Dynamics, need_compiled
 from ..system.inputs import Values
 from .error_state_kalman import ErrorStateKalman
+from .imu.preintegrated_navigation import PreintegratedNavigation
 from .measurement import Measurement
 from .prediction.process_noise import NoiseDiscretization
 
@@ -61,7 +62,7 @@ class InvariantKalman(ErrorStateKalman):
 
     def __init__(
         self,
-        dynamics: Dynamics,
+        dynamics: Dynamics | PreintegratedNavigation,
         measurements: Iterable[Measurement],
         *,
         invariance: Invariance = Invariance.LEFT,

@@ -22,6 +22,7 @@ from ..system.dynamics import Arrays, Dynamics, compile, need_compiled
 from ..system.system import System
 from .measurement import Measurement
 from .prediction.process_noise import NoiseDiscretization, VanLoan
+from .records import controls_on, jumps_of
 from .update import LinearMeasurement
 
 
@@ -121,6 +122,16 @@ class StochasticModel:
             of_rest = functools.partial(function, **fixed)
             self._kernels[key] = KernelFunction(of_rest, self.dynamics.backend, of_matrices=True)
         return self._kernels[key]
+
+    # ---- what stands between two times of a run ----------------------------------------------------------------------
+
+    def jumps(self, u: Any) -> list[np.ndarray]:
+        """The times at which a step must end because controls jump."""
+        return jumps_of(u)
+
+    def stage_controls(self, u: Any, ts: np.ndarray, x0: Arrays, dtype: Any) -> Any:
+        """The controls of the intervals that end at the times of a run, with a leading axis of times."""
+        return controls_on(u, ts, dtype)
 
     # ---- the state between measurements ------------------------------------------------------------------------------
 

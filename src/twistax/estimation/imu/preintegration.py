@@ -5,6 +5,7 @@ covariance.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from typing import Any, NamedTuple
 
 import jax
@@ -48,8 +49,8 @@ class PreintegratedImu:
     Attributes:
         duration: T, s.
         rotation, velocity, position: $R_0^T R_1$; $R_0^T (v_1 - v_0 - g T)$; $R_0^T (p_1 - p_0 - v_0 T - g T^2 / 2)$.
-        covariance: (9, 9) covariance of the error $d = [phi; dv; dp]$: the true rotation is $R Exp(phi)$, the true
-            vectors are $v + dv$ and $p + dp$.
+        joint_covariance: (15, 15) covariance of $[d; db]$ with the error $d = [phi; dv; dp]$ and the change db of the
+            biases by their random walks: the true rotation is $R Exp(phi)$, the true vectors are $v + dv$ and $p + dp$.
         jacobian: (9, 6), the derivative of d with respect to the biases of gyroscope and accelerometer.
         bias: (6,), the biases that were subtracted: rad/s and m/s2.
     """
@@ -58,9 +59,14 @@ class PreintegratedImu:
     rotation: jax.Array
     velocity: jax.Array
     position: jax.Array
-    covariance: jax.Array
+    joint_covariance: jax.Array
     jacobian: jax.Array
     bias: jax.Array
+
+    @property
+    def covariance(self) -> jax.Array:
+        """(9, 9) covariance of the error $d = [phi; dv; dp]$."""
+        return self.joint_covariance[:9, :9]
 
     def corrected(self, bias: Input) -> InertialState:
         """The relative motion for other biases (6,), to first order in their change. Raises ShapeError for another
@@ -70,14 +76,18 @@ class PreintegratedImu:
         """
         (other,) = of_shape("corrected", {"bias": (6,)}, bias)
         motion = {"R": self.rotation, "v": self.velocity, "p": self.position}
-        moved = _MOTION.retract(motion, self.jacobian @ (other - self.bias))
-        return InertialState(moved["R"], moved["v"], moved["p"])
+        return _inertial(_MOTION.retract(motion, self.jacobian @ (other - self.bias)))
 
-    def predict(self, start: InertialState, gravity: Input, bias: Input | None = None) -> InertialState:
-        """The state at the end, from the state at the start, gravity (3,) in m/s2 and biases (6,). Raises ShapeError
-        for another shape.
+    def predict(
+        self, start: InertialState, gravity: Input, bias: Input | None = None, error: Input | None = None
+    ) -> InertialState:
+        """The state at the end, from the state at the start, gravity (3,) in m/s2, biases (6,) and the error d (9,) of
+        the relative motion, which is zero by default. Raises ShapeError for another shape.
         """
         delta, T = self._delta(bias), self.duration
+        if error is not None:
+            motion = {"R": delta.rotation, "v": delta.velocity, "p": delta.position}
+            delta = _inertial(_MOTION.retract(motion, *of_shape("predict", {"error": (9,)}, error)))
         R, v, p, g = of_shape("predict", {**_STATE, "gravity": (3,)}, *start, gravity)
         return InertialState(
             multiply(R, delta.rotation),
@@ -118,9 +128,14 @@ class Preintegration:
 
     where Forster et al. use one step of Euler's method. Traceable.
 
+    A bias that walks shifts the readings of an interval of length h by the mean of its change over the interval. The
+    covariance of this mean and of the change at the end is $sigma^2 h [1/3, 1/2; 1/2, 1]$.
+
     Args:
         gyro: density of the gyroscope's white noise, rad/s per $Hz^(1/2)$: a number or one for each axis.
         accelerometer: density of the accelerometer's white noise, m/s2 per $Hz^(1/2)$.
+        gyro_walk, accelerometer_walk: densities of the white noise that drives the random walks of the biases, rad/s2
+            and m/s3 per $Hz^(1/2)$; zero by default.
     Raises:
         ModelError: densities that are negative or of another shape.
 
@@ -130,8 +145,11 @@ class Preintegration:
     IEEE TRO 33 (2017), sec. VI.
     """
 
-    def __init__(self, gyro: Any, accelerometer: Any) -> None:
+    def __init__(self, gyro: Any, accelerometer: Any, *, gyro_walk: Any = 0.0, accelerometer_walk: Any = 0.0) -> None:
         self.densities = np.concatenate([_density("gyro", gyro), _density("accelerometer", accelerometer)])
+        self.walks = np.concatenate(
+            [_density("gyro_walk", gyro_walk), _density("accelerometer_walk", accelerometer_walk)]
+        )
 
     def integrate(self, gyro: Input, accelerometer: Input, h: Any, bias: Input | None = None) -> PreintegratedImu:
         """The relative motion from k readings.
@@ -158,35 +176,63 @@ class Preintegration:
             raise InputError(f"h expects positive numbers of s, got {np.asarray(lengths).min():g}")
         forces, biases, lengths = (jnp.asarray(a, dtype) for a in (forces, biases, lengths))
         lengths = jnp.broadcast_to(lengths, (count,))
-        readings = jnp.concatenate([rates, forces], axis=1) - biases[None, :]
-        motion, P, J = _integrated(readings, lengths, jnp.asarray(self.densities, dtype) ** 2)
-        return PreintegratedImu(jnp.sum(lengths), motion["R"], motion["v"], motion["p"], P, J, biases)
+        readings = jnp.concatenate([rates, forces], axis=1)
+        intervals = jnp.zeros(count, jnp.int32)
+        return jax.tree.map(lambda a: a[0], self.over_intervals(readings, lengths, biases, intervals, 1))
+
+    def over_intervals(
+        self, readings: jax.Array, lengths: jax.Array, bias: jax.Array, intervals: jax.Array, count: int
+    ) -> PreintegratedImu:
+        """The relative motions of several intervals, with a leading axis of them. Arguments are not checked.
+
+        Args:
+            readings: (k, 6), gyroscope and accelerometer.
+            lengths: (k,) in s.
+            bias: (6,), which is subtracted.
+            intervals: (k,) int32, to which interval a reading belongs, in order.
+            count: the number of intervals.
+        """
+        intensities = (jnp.asarray(a, readings.dtype) ** 2 for a in (self.densities, self.walks))
+        T, motion, P, J = _integrated((readings - bias[None, :], lengths, intervals), *intensities, count)
+        return PreintegratedImu(
+            T, motion["R"], motion["v"], motion["p"], P, J, jnp.broadcast_to(bias, (count, *bias.shape))
+        )
 
 
-@jax.jit
-def _integrated(readings: jax.Array, lengths: jax.Array, intensities: jax.Array) -> tuple[Any, jax.Array, jax.Array]:
-    """The motion, its covariance and its derivative by the biases."""
-    dtype = readings.dtype
+@functools.partial(jax.jit, static_argnames="count")
+def _integrated(rows: tuple[jax.Array, ...], white: jax.Array, walk: jax.Array, count: int) -> Any:
+    """Durations, motions, covariances and derivatives by the biases, from intensities of the noise."""
+    dtype = white.dtype
+    start = (
+        jnp.zeros((), dtype),
+        _MOTION.identity(dtype),
+        jnp.zeros((15, 15), dtype),
+        jnp.zeros((9, 6), dtype),
+    )
 
     def advance(carry: Any, row: Any) -> tuple[Any, None]:
-        motion, P, J = carry
-        reading, h = row
+        (reading, h, i), (state, before, results) = row, carry
+        T, motion, P, J = jax.tree.map(lambda a, b: jnp.where(i == before, a, b), state, start)
         after, A, B = _step(motion, reading, h)
-        noise = B * (intensities / h)[None, :]
-        return (after, A @ P @ A.T + noise @ B.T, A @ J - B), None
+        F = jnp.eye(15, dtype=dtype).at[:9].set(jnp.concatenate([A, -h * B], axis=1))
+        moved = B * (h * white + h**3 / 3.0 * walk)[None, :] @ B.T
+        cross = -0.5 * h * h * B * walk[None, :]
+        P = F @ P @ F.T + jnp.block([[moved, cross], [cross.T, jnp.diag(h * walk)]])
+        new = (T + h, after, 0.5 * (P + P.T), A @ J - h * B)
+        return (new, i, jax.tree.map(lambda a, b: a.at[i].set(b), results, new)), None
 
-    start = (_MOTION.identity(dtype), jnp.zeros((9, 9), dtype), jnp.zeros((9, 6), dtype))
-    (motion, P, J), _ = jax.lax.scan(advance, start, (readings, lengths))
-    return motion, 0.5 * (P + P.T), J
+    results = jax.tree.map(lambda a: jnp.zeros((count, *a.shape), dtype), start)
+    (_, _, results), _ = jax.lax.scan(advance, (start, jnp.asarray(-1, jnp.int32), results), rows)
+    return results
 
 
 def _step(motion: dict[str, jax.Array], reading: jax.Array, h: jax.Array) -> tuple[Any, jax.Array, jax.Array]:
-    """The motion after a reading [w; a] that is held for h, and its derivatives by motion (9, 9) and reading (9, 6)."""
+    """The motion after a reading [w; a] that is held for h, and its slopes by motion (9, 9) and h [w; a] (9, 6)."""
 
     def after(z: jax.Array) -> dict[str, jax.Array]:
-        before, shifted = _MOTION.retract(motion, z[:9]), reading + z[9:]
+        before, moved = _MOTION.retract(motion, z[:9]), h * reading + z[9:]
         R, v, p = before["R"], before["v"], before["p"]
-        turn, force = shifted[:3] * h, shifted[3:] * h
+        turn, force = moved[:3], moved[3:]
         W, square = hat(turn), turn @ turn
         once, twice = multiply(W, force), multiply(W, multiply(W, force))
         dv = force + stumpff(2, square) * once + stumpff(3, square) * twice
@@ -197,6 +243,10 @@ def _step(motion: dict[str, jax.Array], reading: jax.Array, h: jax.Array) -> tup
     end = after(zero)
     _, slopes = value_and_jacobian(lambda z: _MOTION.difference(end, after(z)), zero)
     return end, slopes[:, :9], slopes[:, 9:]
+
+
+def _inertial(motion: dict[str, jax.Array]) -> InertialState:
+    return InertialState(motion["R"], motion["v"], motion["p"])
 
 
 def _density(name: str, value: Any) -> np.ndarray:

@@ -21,6 +21,7 @@ from ...system.dynamics import Arrays, Dynamics
 from ...system.inputs import Values
 from ..error_state_kalman import ErrorStateKalman
 from ..filter import RunStages
+from ..imu.preintegrated_navigation import PreintegratedNavigation
 from ..measurement import Measurement
 from ..records import Records
 from ..stochastic_model import OperatingPoint
@@ -112,7 +113,7 @@ class BatchSmoother:
 
     def __init__(
         self,
-        dynamics: Dynamics,
+        dynamics: Dynamics | PreintegratedNavigation,
         measurements: Iterable[Measurement],
         *,
         losses: Mapping[str, RobustLoss] | None = None,
