@@ -269,16 +269,14 @@ class Native(Backend):
         return f"{super().__str__()} ({with_it})"
 
     def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
-        if (emission := self.whole(closed)) is not None:
-            return emission
         try:
             program = self.scalars.scalarised(closed)
         except TooLarge:
-            return self.scalars.emit(closed, fixed)
+            return self.whole(closed) or self.scalars.emit(closed, fixed)
         return self._native(program, lambda: self.scalars.emit(closed, fixed))
 
     def whole(self, closed: ClosedJaxpr) -> Emission | None:
-        widest = max((v.aval.size for v in variables(closed.jaxpr)), default=0)
+        widest = max((v.aval.size for v in [*closed.jaxpr.constvars, *variables(closed.jaxpr)]), default=0)
         if widest <= self.widest or not installed() or not is_pure(closed, MOST_STORED):
             return None
         with contextlib.suppress(TooLarge, NotNative):
