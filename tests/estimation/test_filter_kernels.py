@@ -64,6 +64,14 @@ def test_a_batch_has_the_numbers_of_arrays(kind: Any, noise: Any) -> None:
         assert not [word for word in ("is_finite", "divide", "dot_general", "while") if word in texts[0]]
 
 
+def test_a_step_in_float32_is_kernels_alone() -> None:
+    kalman = UnscentedKalman(tx.compile(SATELLITE, backend=tx.Native()), [FIELD], noise=Trapezoidal())
+    step, single = jax.jit(stepped(kalman)), jax.tree.map(lambda a: jnp.asarray(a[0], np.float32), ESTIMATES)
+    text = step.lower(*single).as_text()
+    assert text.count("@twistax_") == 2
+    assert "divide" not in text
+
+
 @pytest.mark.thorough
 def test_derivatives_are_those_of_arrays() -> None:
     """Forward and reverse, of the likelihood of records by the density of the noise."""

@@ -77,11 +77,12 @@ def test_a_sensor_without_records_changes_nothing() -> None:
     np.testing.assert_allclose(silent.P[-1], 1e-4 * np.eye(3), rtol=1e-12)
 
 
+@pytest.mark.parametrize("gate", [None, 0.99])
 @pytest.mark.parametrize("covariance", [0.0, -0.5, -2.0])
-def test_a_covariance_that_is_not_positive_in_the_run_is_named(covariance: float) -> None:
+def test_a_covariance_that_is_not_positive_in_the_run_is_named(covariance: float, gate: float | None) -> None:
     """A number is refused when the measurement is made; the value of an expression is known here."""
     variable = tx.Measurement("y", x, covariance=tx.Parameter("R"))
-    kalman = ErrorStateKalman(INTEGRATOR, [variable])
+    kalman = ErrorStateKalman(INTEGRATOR, [variable], gate=gate)
     with pytest.raises(tx.EstimationError, match="covariance of a measurement not positive definite at t = 2 s"):
         kalman.run({"y": ([2.0], [0.0])}, {"x": 0.0}, 1.0, t0=0.0, u={"u": 0.0}, params={"R": covariance})
 
@@ -90,6 +91,15 @@ def test_noise_without_density_is_no_covariance() -> None:
     silent = tx.Measurement("y", x + tx.Noise("n", density=0.0), period=0.1)
     with pytest.raises(tx.EstimationError, match="not positive definite"):
         ErrorStateKalman(INTEGRATOR, [silent]).run({"y": ([2.0], [0.0])}, {"x": 0.0}, 1.0, u={"u": 0.0})
+
+
+def test_a_missing_control_is_named_with_those_of_the_user() -> None:
+    """Not with the controls that stand for noise."""
+    with pytest.raises(tx.InputError) as error:
+        KALMAN.predict(0.0, {"x": 0.0}, 1.0, 0.1)
+    assert (
+        str(error.value) == "Control 'u' is missing in u; the controls are: 'u'.\n  fix: pass u={'u': ...} of shape ()"
+    )
 
 
 def test_no_measurements_are_refused(unchecked: None) -> None:

@@ -75,6 +75,20 @@ def test_a_gradient_by_a_module_is_a_module() -> None:
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-5), got, wanted)
 
 
+@pytest.mark.parametrize(("dtype", "depth"), [(np.float64, 2), (np.float32, 5)])
+def test_constant_weights_of_a_network_are_part_of_a_kernel(dtype: Any, depth: int) -> None:
+    """4,740 and 17,220 numbers, in the precision of the call; the latter are too many for scalars."""
+    pytest.importorskip("llvmlite")
+    net, state = eqx.nn.MLP(4, 4, 64, depth, activation=jnp.tanh, key=jax.random.key(0)), tx.State("y", shape=(4,))
+    dynamics = tx.compile(tx.System(rates={state: tx.Function(net)(state)}))
+    assert dynamics.explain().without_kernel == {}
+    y = jnp.linspace(-1.0, 1.0, 4, dtype=dtype)
+    rates = jax.jit(lambda y: dynamics(0.0, {"y": y})["y"])
+    assert "dot_general" not in rates.lower(y).as_text()
+    assert "@twistax_" in rates.lower(y).as_text()
+    np.testing.assert_allclose(rates(y), net(y.astype(float)), rtol=1e-12 if dtype is np.float64 else 1e-4)
+
+
 def test_derivatives_of_its_own_are_those_of_the_function() -> None:
     @jax.custom_vjp
     def doubled(y: jax.Array) -> jax.Array:

@@ -82,6 +82,7 @@ WRONG: dict[str, tuple[Callable[[], tx.System], str, str]] = {
         "two frames",
         "tx.lie.Inverse(g)",
     ),
+    "halves of a twist in two frames": (outputs(y=M @ np.concatenate([v, w])), "two frames", "maps 'body' to 'world'"),
     "a power of two twists": (
         rates((g, V), (V, solve(M, W)), y=tx.linalg.Dot(V, M @ V + V)),
         "a twist is combined",
@@ -151,6 +152,10 @@ SOUND: dict[str, dict[str, Any]] = {
     },
     "a vector within limits": {"y": tx.Max(v, -1.0 * speed), "z": v + 1.0},
     "a map": {"y": tx.Vmap(lambda s: s * (v + v), np.arange(3.0))},
+    "vectors in two frames as features": {
+        "y": np.concatenate([p, w]),
+        "z": tx.Function(lambda a: 2.0 * a, (3,), name="net")(np.concatenate([p, w])[:3]),
+    },
     "columns and rows": {"y": v + v @ R[:, 2] * R[:, 2], "z": w * R[2, :]},
     "an inertia carried": {
         "y": far + lie.SE3AdjointDual(g) @ M @ lie.SE3Adjoint(lie.Inverse(g)) @ (lie.SE3Adjoint(g) @ V) / tx.Time()

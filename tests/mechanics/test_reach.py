@@ -96,6 +96,14 @@ def test_what_is_too_far_is_a_minimum_of_all_seeds() -> None:
     assert np.allclose([x[3], y[3]], targets[3, :2], atol=1e-5)
 
 
+def test_a_limit_that_does_not_keep_a_stretched_arm_from_its_target_is_not_named() -> None:
+    """The flange is on the axis of a wrist at its limit, or nearly so."""
+    arm = mechanics.load(EXAMPLES / "panda.urdf")
+    result = reach(arm, {"flange": np.array([[5.0, 0.0, 0.0], [5.0, 5.0, 1.0], [0.0, 0.0, 3.0]])})
+    assert np.asarray(result.status).tolist() == [ReachStatus.UNREACHABLE] * 3
+    assert not np.asarray(result.at_limit).any()
+
+
 def test_joints_on_groups_and_several_frames() -> None:
     tree = mimicking_tree().mechanism.replace(gravity=np.zeros(3))
     rng = np.random.default_rng(2)

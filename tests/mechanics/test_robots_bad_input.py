@@ -34,6 +34,14 @@ def records(**changes: Any) -> dict[str, Any]:
     [
         (lambda: ARM.replace(drives=[Drive()]), ModelError, "drives by the names of joints"),
         (lambda: ARM.to_urdf(None), ModelError, "to_urdf: name expects text"),
+        (lambda: ARM.to_urdf("out/arm.urdf"), ModelError, r"got the path 'out/arm.urdf'.\n  fix: pathlib.Path"),
+        (lambda: ARM.to_mjcf("arm.xml"), ModelError, "to_mjcf: name expects the name of the robot, got the path"),
+        (
+            lambda: ARM.without(["link7"]),
+            ModelError,
+            r"expects names of links, got .*\n  fix: without\(\*\['link7'\]\)",
+        ),
+        (lambda: ARM.without(7), ModelError, "expects names of links, got 7"),
         (lambda: ARM.to_mjcf(3), ModelError, "to_mjcf: name expects text"),
         (lambda: ARM.to_urdf(leave_out=None), ModelError, "leave_out expects names"),
         (lambda: Drive(upper=np.inf), ModelError, "None where there is no limit"),

@@ -20,7 +20,7 @@ from ..linear.labels import labels, tangent_shapes
 from ..progress import watching
 from ..scalar.kernel_function import KernelFunction
 from ..system.dynamics import Arrays, Dynamics
-from ..system.inputs import Values, precision
+from ..system.inputs import Values
 from .consistency import gate_limit
 from .filter_run import FilterRun, Innovations
 from .imu.preintegrated_navigation import PreintegratedNavigation, model_of
@@ -163,7 +163,7 @@ class Filter(ABC):
         Raises: InputError, ShapeError: the errors of a call of the dynamics; another shape of P; a negative h.
         """
         length = number("h", h, "a finite number of s that is not negative", lambda h: 0.0 <= h < np.inf)
-        point = self._point(t, x, u, params, True, ())
+        point = self.model.prepared(t, x, u, params, True, ())
         return self._jitted_predict(point, self._covariance(P, point), jnp.asarray(length, point.t.dtype))
 
     def update(
@@ -176,7 +176,7 @@ class Filter(ABC):
         known = self.model.measurements
         if name not in known:
             raise InputError(f"the filter has the measurements {listed(known, name)}, got {name!r}")
-        point = self._point(t, x, u, params, False, (name,))
+        point = self.model.prepared(t, x, u, params, False, (name,))
         value = real_array(f"update: {name!r}", z)
         if value.shape != known[name].group.shape:
             raise ShapeError(f"{name!r} expects shape {known[name].group.shape}, got {value.shape}")
@@ -285,7 +285,7 @@ class Filter(ABC):
         first = None if t0 is None else float(number("t0", t0))
         times = reals("save_at", save_at, InputError).astype(float).reshape(-1)
         start = 0.0 if first is None else first
-        point = self._point(start, x0, self._first(u, start), params, True, self.model.measurements)
+        point = self.model.prepared(start, x0, self._first(u, start), params, True, self.model.measurements)
         jumps = self.model.jumps(u)
         timeline = timeline_of(records, self.model.measurements, first, times, jumps, self.max_step, point.t.dtype)
         controls = self.model.stage_controls(u, timeline.ts, point.x, point.t.dtype)
@@ -373,22 +373,6 @@ class Filter(ABC):
         if callable(u):
             return u(jnp.asarray(t0))
         return {name: getattr(value, "first", value) for name, value in (u or {}).items()}
-
-    def _point(
-        self, t: Any, x: Values, u: Values | None, params: Values | None, rates: bool, measurements: Iterable[str]
-    ) -> OperatingPoint:
-        """The arguments, checked and cast; what rates and these measurements read must be there."""
-        model, u = self.model, dict(u or {})
-        controls = [leaf.name for leaf in model.dynamics.controls]
-        for name in u:
-            if name not in controls:
-                raise InputError(f"unknown key {name!r} in u; the controls are: {listed(controls, name)}")
-        dtype = precision(x, u, params, {"t": t})
-        functions = model.noisy.functions.with_outputs(model.names(rates, measurements))
-        reads = ("rates", "outputs") if rates else ("outputs",)
-        inputs = functions.prepare(t, x, model.with_zeros(u, dtype), params, reads=reads)
-        used = {name: value for name, value in inputs.u.items() if name in controls}
-        return OperatingPoint(inputs.t, dict(inputs.x), used, dict(inputs.params))
 
     def _covariance(self, P: Any, point: OperatingPoint) -> jax.Array:
         n, dtype = self.model.dimension, point.t.dtype

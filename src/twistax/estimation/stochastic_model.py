@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import listed
-from ..errors import ModelError
+from ..errors import InputError, ModelError
 from ..expr import Control, Expr, Noise, State, leaves_of, substitute
 from ..integrators import RKMK, VectorField
 from ..linear.discretize import Controls, method_of, step_derivatives, value_and_jacobian
@@ -19,6 +19,7 @@ from ..linear.linearize import around
 from ..scalar.backends import JAX
 from ..scalar.kernel_function import KernelFunction
 from ..system.dynamics import Arrays, Dynamics, compile, need_compiled
+from ..system.inputs import Values, precision
 from ..system.system import System
 from .measurement import Measurement
 from .prediction.process_noise import NoiseDiscretization, VanLoan
@@ -122,6 +123,30 @@ class StochasticModel:
             of_rest = functools.partial(function, **fixed)
             self._kernels[key] = KernelFunction(of_rest, self.dynamics.backend, of_matrices=True)
         return self._kernels[key]
+
+    # ---- arguments ---------------------------------------------------------------------------------------------------
+
+    def prepared(
+        self, t: Any, x: Values, u: Values | None, params: Values | None, rates: bool, measurements: Iterable[str]
+    ) -> OperatingPoint:
+        """The arguments, checked and cast; what rates and these measurements read must be there."""
+        u, controls = dict(u or {}), {leaf.name: leaf for leaf in self.dynamics.controls}
+        for name in u:
+            if name not in controls:
+                raise InputError(f"unknown key {name!r} in u; the controls are: {listed(controls, name)}")
+        dtype = precision(x, u, params, {"t": t})
+        functions = self.noisy.functions.with_outputs(self.names(rates, measurements))
+        reads = ("rates", "outputs") if rates else ("outputs",)
+        required = set().union(*(functions.reads[family] for family in reads))
+        for name, leaf in controls.items():
+            if name in required and name not in u:
+                raise InputError(
+                    f"Control {name!r} is missing in u; the controls are: {listed(controls, name)}.\n"
+                    f"  fix: pass u={{{name!r}: ...}} of shape {leaf.shape}"
+                )
+        inputs = functions.prepare(t, x, self.with_zeros(u, dtype), params, reads=reads)
+        used = {name: value for name, value in inputs.u.items() if name in controls}
+        return OperatingPoint(inputs.t, dict(inputs.x), used, dict(inputs.params))
 
     # ---- what stands between two times of a run ----------------------------------------------------------------------
 

@@ -55,7 +55,7 @@ class LinearMeasurement(NamedTuple):
         """The update from P to new_P and x Exp(d), unless it is discarded. `root` is a triangular root of S."""
         whitened = solve_triangular(root, self.residual, lower=True)
         nis = whitened @ whitened
-        used = jnp.ones((), bool) if limit is None else nis <= limit
+        used = jnp.ones((), bool) if limit is None else ~(nis > limit)  # a NaN is no outlier
         new_x = group.retract(self.x, d)
         information = self.H.T @ cho_solve((jnp.linalg.cholesky(self.R), True), self.H)
         # The diagonal by a mask: kernels of matrices have no gathers along two axes.

@@ -207,7 +207,7 @@ class Mechanism(KinematicTree):
         joints without a motor, meshes without a file, and joints that are `Helical` or `Cylindrical`.
 
         Args:
-            name: the name of the robot.
+            name: the name of the robot, not of a file.
             leave_out: kinds of features to omit, such as ["armature", "gravity"]; the error message names them.
         Raises: ModelError for a feature that cannot be written, with its joints or links; numbers that are not known.
 

@@ -34,6 +34,8 @@ Shapes: TypeAlias = Sequence[jax.ShapeDtypeStruct]
 _LARGEST_STEP = 10_000
 #: The most numbers that a step may close over: they become scalars one by one, and a longer table takes minutes.
 _MOST_CONSTANTS = 1000
+#: The most numbers that a function of matrices may close over: they are memory of its kernel.
+MOST_STORED = 100_000
 #: XLA recurses along chains of operations; at three times this length its stack overflows.
 _LONGEST_CHAIN = 30_000
 #: A function with wide intermediate arrays runs as scalars if these take at most this share of the array operations,
@@ -269,21 +271,21 @@ def chosen(backend: Backend | OneOf["auto"], auto: Backend) -> Backend:
     return choice
 
 
-def pure(function: Step, shapes: Shapes) -> ClosedJaxpr | None:
+def pure(function: Step, shapes: Shapes, most: int = _MOST_CONSTANTS) -> ClosedJaxpr | None:
     """The jaxpr of a function; None where it must not become a program.
 
     Programs have no effects, closed-over traced values or random keys. Long closed-over tables take minutes to read.
     """
     closed = jax.make_jaxpr(function)(*shapes)
-    return closed if is_pure(closed) else None
+    return closed if is_pure(closed, most) else None
 
 
-def is_pure(closed: ClosedJaxpr) -> bool:
-    """Whether a jaxpr has a scalar program without side effects: see `pure`."""
+def is_pure(closed: ClosedJaxpr, most: int = _MOST_CONSTANTS) -> bool:
+    """Whether a jaxpr has a program without side effects, and at most so many constants: see `pure`."""
     keys = any(map(is_key, [*closed.jaxpr.constvars, *variables(closed.jaxpr)]))
     if closed.effects or is_traced(closed.consts) or keys:
         return False
-    return sum(jnp.size(c) for c in closed.consts) <= _MOST_CONSTANTS
+    return sum(jnp.size(c) for c in closed.consts) <= most
 
 
 def _steady(jaxpr: Jaxpr) -> bool:

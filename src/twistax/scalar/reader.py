@@ -30,6 +30,7 @@ from ..jax_inside import (
 )
 from .graph import LIMITS, OpaqueCall, ScalarGraph
 from .primitives.interface import Limits, Nodes, flat, nodes
+from .primitives.piecewise_constant import piecewise_constant
 from .primitives.table import OPERATIONS, WHERE, entry_of, say_unread
 from .program import ScalarProgram
 
@@ -184,9 +185,12 @@ class JaxprReader:
         entry, scalars = entry_of(eqn), None
         if any(map(is_key, (*eqn.invars, *eqn.outvars))) and eqn.primitive.name != "jit":
             return self.call(eqn, arrays)
-        if entry is not None and (entry.any_type or not self._foreign(eqn)):
+        if entry is not None:
             try:
-                scalars = entry.scalars(self, eqn, *arrays)
+                if entry.any_type or not self._foreign(eqn):
+                    scalars = entry.scalars(self, eqn, *arrays)
+                else:
+                    scalars = piecewise_constant(self, entry, eqn, arrays)
             except Unread as error:
                 say_unread(error)
         return self.call(eqn, arrays) if scalars is None else scalars

@@ -3,6 +3,7 @@
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -13,6 +14,7 @@ from native_programs import at_every_width, processors, program_of, run
 import twistax as tx
 from twistax.scalar.primitives.entry import convert
 from twistax.scalar.primitives.table import OPERATIONS
+from twistax.scalar.reader import scalarize
 from twistax.scalar.targets.llvm.code import NotNative
 from twistax.scalar.targets.llvm.kernel_body import native_form
 from twistax.scalar.targets.llvm.machine_code import Processor
@@ -138,6 +140,20 @@ def test_conversions(dtype: Any, processor: Processor) -> None:
     found = run(program_of(operations, dtype, 1), processor, values)
     for operation, own, array in zip(operations, found, _as_xla(operations, [values]), strict=True):
         np.testing.assert_array_equal(own, array, err_msg=operation.name)
+
+
+@at_every_width
+def test_float64_numbers_of_float32_programs(processor: Processor) -> None:
+    """Sines in both precisions side by side."""
+
+    def function(x: Any) -> list[Any]:
+        turned = jnp.sin(jnp.where(x > 0.5, 0.1, 0.3) / 3.0) + jnp.where(x > 2.0, 1.0, 2.0)
+        return [turned.astype(x.dtype) * jnp.sin(x)]
+
+    x = RANDOM.normal(size=(100, 1)).astype(np.float32)
+    result = run(scalarize(function, jax.ShapeDtypeStruct((1,), x.dtype)), processor, x)[0]
+    turned = np.sin(np.where(x > 0.5, 0.1, 0.3) / 3.0) + np.where(x > 2.0, 1.0, 2.0)
+    np.testing.assert_allclose(result, (turned.astype(np.float32) * np.sin(x))[:, 0], rtol=5e-7)
 
 
 @pytest.mark.parametrize("name", ["div", "rem"])

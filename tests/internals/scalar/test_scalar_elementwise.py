@@ -36,6 +36,10 @@ LOGIC = {"and": lax.bitwise_and, "or": lax.bitwise_or, "xor": lax.bitwise_xor}
 FLOAT32 = ANY.astype(np.float32)
 
 
+def _double(a: jax.Array) -> jax.Array:
+    return a.astype(np.float64)
+
+
 def _cases() -> list[Case]:
     cases = [Case(name, getattr(lax, name), (x,)) for name, x in UNARY.items()]
     cases += [Case(name, getattr(lax, name), xs) for name, xs in BINARY.items()]
@@ -100,6 +104,14 @@ def _cases() -> list[Case]:
         Case("to truth values", lambda a: a.astype(bool), (KINKS,)),
         Case("float32 inside", lambda a: jnp.sin(a.astype(np.float32)).astype(float) * a, (ANY,), atol=1e-6),
         Case("float64 inside", lambda a: (jnp.sin(a.astype(float)) * 2.0).astype(np.float32) * a, (FLOAT32,)),
+        Case("choice of numbers in float64", lambda a: jnp.where(a > 0.0, 0.1, 1.0) * a, (FLOAT32,)),
+        Case("sum of choices in float64", lambda a: jnp.mean(_double(a > 0.0) * 0.1).astype(a.dtype) * a, (FLOAT32,)),
+        Case("sine of a choice in float64", lambda a: jnp.sin(jnp.where(a > 0.0, 0.1, 0.3) / 3.0) * a, (FLOAT32,)),
+        Case(
+            "whole parts in float64",
+            lambda a: (-0.1 * jnp.maximum(_double(a.astype(int)), 0.5)).astype(a.dtype) * a,
+            (FLOAT32,),
+        ),
         Case("both precisions", lambda a, b: (a * 2.0, b * b, a.astype(float) * b), (FLOAT32, ANY)),
         Case(
             "reduced precision",
@@ -125,6 +137,13 @@ CASES = _cases()
 
 
 test_as_jax = as_jax(CASES)
+
+
+def test_float64_numbers_of_float32_programs_are_no_calls() -> None:
+    """A kernel has no calls of JAX."""
+    cases = [case for case in CASES if "float64" in case.name and case.name != "float64 inside"]
+    assert len(cases) == 4
+    assert not any(case.program.calls for case in cases)
 
 
 #: Functions near the ends of where they are defined, and in between: JAX's own derivatives lose digits there.

@@ -152,7 +152,8 @@ class Call(Expr, init=False):
 
     def _applied(self, *values: Any) -> Any:
         dtype = jnp.result_type(*values)
-        f = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype) if is_real_array(leaf) else leaf, self.f)
+        with jax.ensure_compile_time_eval():  # cast here, and not in each call
+            f = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype) if is_real_array(leaf) else leaf, self.f)
         rest = iter(values)
         arguments = [next(rest) if t is None else t.filled([next(rest) for _ in t.parameters]) for t in self.trees]
         return f(*arguments)

@@ -22,8 +22,8 @@ class Reduced(ByShapes):
 
 @dataclasses.dataclass(frozen=True)
 class JoinedPieces(ByShapes):
-    """Joined pieces: one unit if all have it. Vectors (3,) that are joined to (6,), or to rows of such, have one
-    frame.
+    """Joined pieces: one unit if all have it. Rows (3,) have one frame, and so have the halves of a twist or a wrench.
+    Other vectors may be joined in any frames, such as the features of a network.
     """
 
     rows: bool = False
@@ -35,7 +35,7 @@ class JoinedPieces(ByShapes):
         if halves or (self.rows and node.shape[-1:] == (3,)):
             for value in values:
                 if value.shape[-1:] == (3,):
-                    yield value, -1, node, -1, Common.FRAME
+                    yield value, -1, node, -1, Common.HALF if halves else Common.FRAME
 
     def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
         distinct = set(units)

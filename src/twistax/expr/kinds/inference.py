@@ -81,6 +81,8 @@ class Inference:
         self.has_bodies = False
         #: Nodes, vectors that can be in no frame, and what makes them so.
         self._unframed: list[tuple[Expr, Expr, Expr]] = []
+        #: Nodes that join halves to six-vectors, and the numbers of the axes of a half and of the whole.
+        self._halves: list[tuple[Expr, int, int]] = []
         self._pairs_of: dict[type[Expr], dict[Hashable, NodePairs]] = {}
         for leaf in leaves:
             self._leaf(leaf)
@@ -246,8 +248,11 @@ class Inference:
         values, link_frames = (*children, node), self._frames.link
         for k, axis, space in pairs.spaces:
             self._fix(self._spaces, ends[k] + axis, AxisFact(space, values[k], axis, node))
-        for one, axis, other, its_axis, dual in pairs.links:
+        for one, axis, other, its_axis, dual, half in pairs.links:
             a, b = ends[one] + axis, ends[other] + its_axis
+            if half:
+                self._halves.append((node, a, b))
+                continue
             both = link_frames(a, b, False)
             if dual is not None:
                 both = both or self._spaces.link(a, b, dual)
@@ -279,6 +284,12 @@ class Inference:
     def _space(self, slot: int) -> Space | None:
         known = self._spaces.known(slot)
         return known.fact if known and isinstance(known.fact, Space) else None
+
+    def link_halves(self) -> None:
+        """The frame of each twist and wrench is that of its halves, once all spaces are known."""
+        for node, half, whole in self._halves:
+            if self._space(whole) is not None:
+                self._refuse(node, self._frames.link(half, whole, False))
 
     def check_unframed(self) -> None:
         """Raise KindError if a scalar is added to the entries of a vector in a frame."""
@@ -376,6 +387,7 @@ def infer_kinds(
     inference.read(roots, nodes)
     for state, rate in rates.items():
         inference.read_rate(state, rate)
+    inference.link_halves()
     inference.check_unframed()
     if inference.has_bodies:
         check_bodies(nodes, roots, rates, BodyInference(inference.leaves, inference.place, short))

@@ -12,13 +12,17 @@ _SIX = 6
 
 
 class AxisLink(NamedTuple):
-    """An axis of a value and one of another that have one frame, and one space or dual ones unless `dual` is None."""
+    """An axis of a value and one of another that have one frame, and one space or dual ones unless `dual` is None.
+
+    If `half`, only where the second is known to be a twist or a wrench.
+    """
 
     one: int
     axis: int
     other: int
     its_axis: int
     dual: bool | None
+    half: bool
 
 
 class NodePairs(NamedTuple):
@@ -64,5 +68,5 @@ class NodePairs(NamedTuple):
 
 
 def _link(numbers: dict[int, int], one: Any, axis: int, other: Any, its_axis: int, common: Common) -> AxisLink:
-    has_space = common is not Common.FRAME and one.shape[axis] == _SIX
-    return AxisLink(numbers[id(one)], axis, numbers[id(other)], its_axis, common is Common.DUAL if has_space else None)
+    dual = common is Common.DUAL if common in (Common.SAME, Common.DUAL) and one.shape[axis] == _SIX else None
+    return AxisLink(numbers[id(one)], axis, numbers[id(other)], its_axis, dual, common is Common.HALF)

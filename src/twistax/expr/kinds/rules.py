@@ -31,6 +31,7 @@ class Common(enum.Enum):
     SAME = "frame and space"
     DUAL = "frame, with dual spaces"
     FRAME = "frame"
+    HALF = "frame, if the second is known to be a twist or a wrench"
 
 
 #: The sizes of axes that may have a frame: of vectors, rotations and poses, six-vectors.

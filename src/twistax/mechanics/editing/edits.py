@@ -108,7 +108,12 @@ def _without_joints(mechanism: KinematicTree, names: Collection[str]) -> Changes
 
 def without(mechanism: KinematicTree, names: Iterable[str]) -> Changes:
     """Implements `Mechanism.without`."""
-    owner, removed = "Mechanism.without", {mechanism.link(name).name for name in names}
+    owner, names = "Mechanism.without", list(names)
+    for name in names:
+        if not isinstance(name, str):
+            fix = f"\n  fix: without(*{name!r})" if isinstance(name, Collection) else ""
+            raise ModelError(f"{owner} expects names of links, got {short(name)}{fix}")
+    removed = {mechanism.link(name).name for name in names}
     for link in mechanism.links:  # each follows its parent
         if link.parent in removed:
             removed.add(link.name)

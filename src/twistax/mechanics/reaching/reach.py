@@ -36,9 +36,10 @@ class ReachStatus(enum.IntEnum):
 
     - `REACHED`: all frames are at their targets within the tolerances, all tasks are satisfied, and all constraints
     hold.
-    - `LIMIT`: the search from the best seed ended at joint limits; `at_limit` marks these joints.
-    - `UNREACHABLE`: the search from the best seed ended away from joint limits. If `slope` is small, it ended at a
-      minimum of the distance; otherwise it reached the limit of iterations.
+    - `LIMIT`: without joint limits the search from the best seed would have come nearer; `at_limit` marks these joints.
+    - `UNREACHABLE`: no joint limit keeps the search from the best seed from the target, as where an arm is stretched.
+      `distance` is what remains. If `slope` is small, it ended at a minimum of the distance; otherwise it reached the
+      limit of iterations.
     """
 
     REACHED = 0
@@ -61,7 +62,8 @@ class ReachResult:
         distance: (..., frames), m: distance from the origin of each frame to its target.
         angle: (..., frames), rad: angle between the axes of each frame and of its target; zero for targets that are
             positions.
-        at_limit: (..., n): the degrees of freedom that would reduce the error but are at a limit.
+        at_limit: (..., n): the degrees of freedom that would reduce the error but are at a limit: those of which the
+            multiplier $|J_i^T e| / (|J| |e|)$ is not zero. One that is below `slope` or below 1e-4 counts as zero.
         slope: (...,): $|P J^T e| / (|J| |e|)$, with P the projection onto the directions that limits permit. It is zero
             at a local minimum, and meaningless if the target is reached.
         minima: (...,): the number of seeds that ended at a local minimum.
@@ -321,7 +323,10 @@ class _Reacher:
         worse = (jnp.sum(after * after) > jnp.sum(e * e)) | ~self._search.reached(after)
         x = self.errors.space.moved(solution.x, step - jax.lax.stop_gradient(jnp.where(worse, step, 0.0)))
         distance, angle = self._measures(self.errors(x, targets)[0])
-        at_limit = ~solution.free & ~reached
+        # First-order conditions: a limit without a multiplier is not the cause.
+        scale = jnp.sqrt(jnp.maximum(jnp.sum(J * J) * jnp.sum(e * e), np.finfo(e.dtype).tiny))
+        multiplier = jnp.where(solution.free, 0.0, jnp.abs(J.T @ e) / scale)
+        at_limit = ~reached & (multiplier > jnp.maximum(solution.slope, self._options.flat))
         missed = jnp.where(jnp.any(at_limit), int(ReachStatus.LIMIT), int(ReachStatus.UNREACHABLE))
         status = jnp.where(reached, int(ReachStatus.REACHED), missed)
         measures = (solution.slope, solution.minima, solution.seeds, self.errors.constraints.values(x, {}, {}))

@@ -16,7 +16,6 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from ...checks import instance
 from ...errors import ModelError
 from ...system import free_name
 from ...view import Box, Capsule, Cylinder, Ellipsoid, Shape, Sphere
@@ -25,7 +24,7 @@ from ..joints import Fixed, Free, Prismatic, Revolute, Spherical
 from ..kinematic_tree import KinematicTree
 from ..loops import Loop, Metric, PointLoop, PoseLoop
 from ..tree import Link
-from .written import Losses, child, children_of, document, limits, text
+from .written import Losses, child, children_of, document, limits, robot_name, text
 
 _WORLD = "world"
 _ROUND_OFF = 1e-9
@@ -38,8 +37,7 @@ class MjcfText:
     def __init__(self, mechanism: KinematicTree, name: str, leave_out: Collection[str]) -> None:
         self._mechanism, self._losses = mechanism, Losses("to_mjcf", "MJCF", leave_out)
         self._children = children_of(mechanism)
-        instance("to_mjcf: name", name, str, "text", ModelError)
-        root = ElementTree.Element("mujoco", model=name)
+        root = ElementTree.Element("mujoco", model=robot_name("to_mjcf", name))
         child(root, "compiler", angle="radian", inertiafromgeom="false")
         child(root, "option", gravity=text(self._losses.value("gravity", mechanism.gravity)))
         world = child(root, "worldbody")

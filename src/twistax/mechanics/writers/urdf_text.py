@@ -13,7 +13,6 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from ...checks import instance
 from ...errors import ModelError
 from ...expr.fields import ExprLike
 from ...view import Box, Capsule, Cylinder, Mesh, Shape, Sphere
@@ -21,7 +20,7 @@ from ..bodies import SpatialInertia
 from ..joints import Fixed, Free, Joint, Planar, Prismatic, Revolute, Spherical
 from ..kinematic_tree import KinematicTree
 from ..tree import Link
-from .written import Losses, child, document, limits, text
+from .written import Losses, child, document, limits, robot_name, text
 
 _GRAVITY = np.array([0.0, 0.0, -9.81])
 #: The types of joints without limits of the position.
@@ -38,8 +37,7 @@ _TYPES: dict[type[Joint], str] = {
 def urdf_text(mechanism: KinematicTree, name: str, leave_out: Collection[str]) -> str:
     """Implements `Mechanism.to_urdf`."""
     losses = Losses("to_urdf", "URDF", leave_out)
-    instance("to_urdf: name", name, str, "text", ModelError)
-    robot = ElementTree.Element("robot", name=name)
+    robot = ElementTree.Element("robot", name=robot_name("to_urdf", name))
     if not np.array_equal(losses.value("gravity", mechanism.gravity), _GRAVITY):
         losses.add("gravity", "the mechanism")
     for loop in mechanism.loops:

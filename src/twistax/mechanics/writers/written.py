@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from ...checks import listed, name_list, short
+from ...checks import instance, listed, name_list, short
 from ...errors import ModelError
 from ...expr import Constant, Expr, Parameter, canonicalize_all, to_expr
 from ...expr.fields import ExprLike
@@ -90,6 +90,17 @@ class Losses:
         for name in names:
             if repr(getattr(link.drive, name)) != repr(getattr(usual, name)):
                 self.add(name, link.joint.name)
+
+
+def robot_name(owner: str, name: str) -> str:
+    """The name of the robot. Raises ModelError for a path, because the writers return text and write no file."""
+    instance(f"{owner}: name", name, str, "text", ModelError)
+    if set(name) & set("/\\") or name.endswith((".urdf", ".xml")):
+        raise ModelError(
+            f"{owner}: name expects the name of the robot, got the path {name!r}.\n"
+            f"  fix: pathlib.Path({name!r}).write_text(mechanism.{owner}())"
+        )
+    return name
 
 
 def text(values: ExprLike) -> str:

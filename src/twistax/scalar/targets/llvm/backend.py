@@ -24,6 +24,7 @@ from ....progress import say_once
 from ...array_primitive import KernelOfArrays, Kernels
 from ...backends import (
     ANY_SIZE,
+    MOST_STORED,
     XLA,
     Backend,
     Emission,
@@ -182,11 +183,12 @@ class KernelRunner:
         """The reason why a function cannot be part of a kernel; None where it can."""
         if not installed():
             return None
-        closed = pure(function, shapes)
-        if closed is None:
-            return "it has effects, random keys or more than 1,000 constants: pass weights as a tx.ParameterTree"
+        closed = pure(function, shapes, MOST_STORED)
+        if closed is None or (not is_pure(closed) and self.arrays(closed, False) is None):
+            return "it has effects, random keys or too many constants: pass weights as a tx.ParameterTree"
         try:
-            native_form(_XLA.scalarised(closed))
+            if is_pure(closed):
+                native_form(_XLA.scalarised(closed))
         except (NotNative, TooLarge) as error:
             return None if self.arrays(closed, False) else str(error).splitlines()[0]
         return None
@@ -267,20 +269,19 @@ class Native(Backend):
         return f"{super().__str__()} ({with_it})"
 
     def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
-        if (emission := self.whole(closed)) is not None:
-            return emission
         try:
             program = self.scalars.scalarised(closed)
         except TooLarge:
-            return self.scalars.emit(closed, fixed)
+            return self.whole(closed) or self.scalars.emit(closed, fixed)
         return self._native(program, lambda: self.scalars.emit(closed, fixed))
 
     def whole(self, closed: ClosedJaxpr) -> Emission | None:
-        widest = max((v.aval.size for v in variables(closed.jaxpr)), default=0)
-        if widest <= self.widest or not installed() or not is_pure(closed):
+        widest = max((v.aval.size for v in [*closed.jaxpr.constvars, *variables(closed.jaxpr)]), default=0)
+        if widest <= self.widest or not installed() or not is_pure(closed, MOST_STORED):
             return None
         with contextlib.suppress(TooLarge, NotNative):
-            return self._native(self.scalars.scalarised(closed, moved=True), _not_native)
+            if is_pure(closed):
+                return self._native(self.scalars.scalarised(closed, moved=True))
         program = self.runner.arrays(closed, self.scalars.checked)
         if program is None:
             return None
@@ -324,9 +325,11 @@ class Native(Backend):
         reason = f"native: {form.operations} operations; as XLA has them where a call has fewer than {self.least}"
         return Derived(program, None, self.runner), reason + notes()
 
-    def _native(self, program: ScalarProgram, otherwise: Callable[[], Emission]) -> Emission:
+    def _native(self, program: ScalarProgram, otherwise: Callable[[], Emission] | None = None) -> Emission:
         derived, reason = self._kernels(program)
         if derived is None:
+            if otherwise is None:
+                raise NotNative
             emission = otherwise()
             return dataclasses.replace(emission, reason=f"{emission.reason}; not native: {reason}")
         program.graph.largest = ANY_SIZE
@@ -334,10 +337,6 @@ class Native(Backend):
 
     def _say_missing(self) -> None:
         say_once("tx.Native needs llvmlite: pip install 'twistax[native]'; XLA compiles these functions instead")
-
-
-def _not_native() -> Emission:
-    raise NotNative
 
 
 @dataclasses.dataclass(frozen=True)

@@ -88,7 +88,7 @@ class Scalars:
         g, values, live = self._graph, self._values, self._graph.live(nodes, self._values)
         for angles in self._angles(live):
             self._in_order(g.live(angles, values))
-            pairs = sines_and_cosines(self._code, NAMES[g.dtype], [values[i] for i in angles])
+            pairs = sines_and_cosines(self._code, NAMES[g.dtypes[angles[0]]], [values[i] for i in angles])
             self._code.sines.update(zip((values[i] for i in angles), pairs, strict=True))
         self._in_order(live)
         return [values[i] for i in nodes]
@@ -121,17 +121,19 @@ class Scalars:
                 values[i] = _form_of(operation, dtype)(self._code, NAMES[dtype], *map(self.value, arguments))
 
     def _angles(self, live: Sequence[int]) -> list[list[int]]:
-        """The angles of sines and cosines to come: first those that depend on no other of them, and so on."""
+        """The angles of sines and cosines to come, of one precision each: first those that depend on no other of them,
+        and so on.
+        """
         g = self._graph
         depth: dict[int, int] = {}
-        by_depth: dict[int, dict[int, None]] = {}
+        by_depth: dict[tuple[int, str], dict[int, None]] = {}
         for i in live:
             if i in self._values:
                 continue
             arguments = g.arguments(i)
             depth[i] = max((depth.get(a, 0) for a in arguments), default=0)
             if g.operation(i) in _TURNING and self._values.get(arguments[0]) not in self._code.sines:
-                by_depth.setdefault(depth[i], {})[arguments[0]] = None
+                by_depth.setdefault((depth[i], g.dtypes[i].name), {})[arguments[0]] = None
                 depth[i] += 1
         return [list(by_depth[k]) for k in sorted(by_depth)]
 

@@ -11,7 +11,7 @@ import jax
 
 from ....jax_inside import backends
 from ...array_primitive import KernelOfArrays
-from ...backends import ANY_SIZE, XLA, Shapes, Step, StepCompiler, pure
+from ...backends import ANY_SIZE, MOST_STORED, XLA, Shapes, Step, StepCompiler, pure
 from ...graph import TooLarge
 from ...jax_primitive import PLATFORMS, Derived, Differentiable, call_program
 from ...loops import Looped, MakeKernel, Repeated, Ring, decides, repeating
@@ -81,7 +81,7 @@ class StepKernels(StepCompiler):
         return Derived(program, None, self.runner)
 
     def of_matrices(self, function: Step, shapes: Shapes, terminates: bool = False) -> KernelOfArrays | None:
-        closed = pure(function, shapes) if installed() else None
+        closed = pure(function, shapes, MOST_STORED) if installed() else None
         return None if closed is None else self.runner.arrays(closed, self.scalars.checked, terminates)
 
     def shared(self, function: Step, shapes: Shapes) -> Derived | None:
