@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -78,7 +78,7 @@ class PreintegratedNavigation:
         noise = Noise("readings", shape=(6,), density=self.imu.densities)
         walk = Noise("walks", shape=(6,), density=self.imu.walks)
         force = accelerometer - self.accelerometer_bias - noise[3:]
-        rates = {
+        rates: dict[State | str, Any] = {
             self.rotation: gyro - self.gyro_bias - noise[:3],
             self.velocity: self.rotation @ force + self.gravity,
             self.position: self.velocity,
@@ -159,8 +159,8 @@ class PreintegratedModel(StochasticModel):
                 "a prediction with preintegrated readings needs the readings of a run.\n"
                 "  fix: use run(...), or a filter of navigation.dynamics"
             )
-        motion: PreintegratedImu = point.u[_MOTION]
-        return motion
+        motion: Any = point.u[_MOTION]
+        return cast(PreintegratedImu, motion)
 
     def _reached(self, point: OperatingPoint, error: jax.Array) -> Arrays:
         """The state at the end of an interval with an error [d; db]."""

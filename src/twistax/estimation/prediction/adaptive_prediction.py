@@ -12,7 +12,9 @@ import numpy as np
 
 from ...checks import instance
 from ...errors import ModelError
+from ...groups import Product
 from ...integrators import RKMK, Result, StepControl, VectorField
+from ...integrators.charts.coordinates import Blocks
 from ...integrators.loop.checkpointed import take_steps
 from ...integrators.options import tolerances_of
 from ...integrators.step_control import ErrorHistory, Tolerances
@@ -111,8 +113,8 @@ class AdaptivePrediction:
 
         start = point.x, form, jnp.eye(self.model.dimension, dtype=form.dtype)
         end, _ = take_steps(step, start, (begins, ends), search.accepted, self.control.max_steps, False)
-        reached = jax.tree.map(lambda a: jnp.where(search.code == 0, a, jnp.nan), end)
-        return Prediction(*reached, steps=search.accepted, code=search.code)
+        x, P, transition = jax.tree.map(lambda a: jnp.where(search.code == 0, a, jnp.nan), end)
+        return Prediction(x, P, transition, steps=search.accepted, code=search.code)
 
     def _search(self, point: OperatingPoint, P: jax.Array, length: jax.Array) -> _Search:
         """The ends of the steps, in s from the start."""
@@ -185,15 +187,13 @@ def _attempted(
     slopes, (before, after, errors, x) = jax.jacfwd(moved, has_aux=True)(jnp.zeros(n, h.dtype))
     transition, of_error = slopes[:n], slopes[n:]
     P = symmetric(P)
-    deviations, errors_of_deviations = (
-        {name: (group.factors[name].to_linear_first(_deviations(M, P)[part]),) for name, part in group.slices.items()}
-        for M in (transition, of_error)
-    )
+    deviations, errors_of_deviations = (_deviations(group, M, P) for M in (transition, of_error))
     square = tolerances.square(local, errors, before, after)
     square = jnp.maximum(square, tolerances.mean_square_of_deviations(errors_of_deviations, deviations))
     return x, symmetric(transition @ P @ transition.T), square
 
 
-def _deviations(M: jax.Array, P: jax.Array) -> jax.Array:
-    """The roots of the diagonal of $M P M^T$."""
-    return jnp.sqrt(jnp.maximum(jnp.sum((M @ P) * M, axis=1), 0.0))
+def _deviations(group: Product, M: jax.Array, P: jax.Array) -> Blocks:
+    """The roots of the diagonal of $M P M^T$, by state."""
+    roots = jnp.sqrt(jnp.maximum(jnp.sum((M @ P) * M, axis=1), 0.0))
+    return {name: (group.factors[name].to_linear_first(roots[part]),) for name, part in group.slices.items()}
