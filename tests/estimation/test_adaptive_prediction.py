@@ -97,7 +97,7 @@ def test_a_tumbling_body_in_single_precision() -> None:
     R, w = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,))
     J = np.diag([1.0, 2.0, 3.0])
     torque = tx.Noise("torque", shape=(3,), density=0.01)
-    body = tx.compile(tx.System(rates={R: w, w: np.linalg.inv(J) @ (tx.Cross(J @ w, w) + torque)}))
+    body = tx.compile(tx.System(rates={R: w, w: np.linalg.inv(J) @ (tx.linalg.Cross(J @ w, w) + torque)}))
     star = tx.Measurement("star", R, covariance=1e-4)
     x0 = {"R": np.eye(3, dtype=np.float32), "w": np.array([0.5, 1.0, 3.0], np.float32)}
     arguments = 0.0, x0, np.float32(1e-4), np.float32(2.0)

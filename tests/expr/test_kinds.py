@@ -82,7 +82,7 @@ WRONG: dict[str, tuple[Callable[[], tx.System], str, str]] = {
         "two frames",
         "tx.lie.Inverse(g)",
     ),
-    "halves of a twist in two frames": (outputs(y=M @ np.concatenate([v, w])), "two frames", "maps 'body' to 'world'"),
+    "halves of a twist in two frames": (outputs(y=M @ np.concatenate([v, w])), "two frames", "is in 'body'"),
     "a power of two twists": (
         rates((g, V), (V, solve(M, W)), y=tx.linalg.Dot(V, M @ V + V)),
         "a twist is combined",

@@ -141,7 +141,7 @@ class StochasticModel:
         for name, leaf in controls.items():
             if name in required and name not in u:
                 raise InputError(
-                    f"Control {name!r} is missing in u; the controls are: {listed(controls, name)}.\n"
+                    f"Control {name!r} is missing in u; the controls are: {listed(controls)}.\n"
                     f"  fix: pass u={{{name!r}: ...}} of shape {leaf.shape}"
                 )
         inputs = functions.prepare(t, x, self.with_zeros(u, dtype), params, reads=reads)

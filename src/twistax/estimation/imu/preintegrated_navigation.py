@@ -124,8 +124,8 @@ class PreintegratedModel(StochasticModel):
                 )
         inside = [at[(at > ts[0]) & (at < ts[-1])] for at in jumps_of(u)]
         ends = np.unique(np.concatenate([ts, *inside]))
-        held = controls_on(u, ends, dtype)
-        readings = jnp.concatenate([held[name] for name in ("gyro", "accelerometer")], axis=1)
+        values = controls_on(u, ends, dtype)
+        readings = jnp.concatenate([values[name] for name in ("gyro", "accelerometer")], axis=1)
         bias = jnp.concatenate([x0["gyro_bias"], x0["accelerometer_bias"]])
         lengths = jnp.asarray(np.diff(ends, prepend=ends[0]), dtype)
         intervals = jnp.asarray(np.searchsorted(ts, ends), jnp.int32)

@@ -78,7 +78,7 @@ class _Data(NamedTuple):
     values: dict[str, jax.Array]
     present: dict[str, jax.Array]
 
-    def at(self, x: Arrays, t: jax.Array, u: Arrays) -> OperatingPoint:
+    def at(self, x: Arrays, t: jax.Array, u: Any) -> OperatingPoint:
         return OperatingPoint(t, x, u, self.params)
 
 

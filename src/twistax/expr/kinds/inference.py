@@ -287,9 +287,9 @@ class Inference:
 
     def link_halves(self) -> None:
         """The frame of each twist and wrench is that of its halves, once all spaces are known."""
-        for node, half, whole in self._halves:
-            if self._space(whole) is not None:
-                self._refuse(node, self._frames.link(half, whole, False))
+        for node, half, six_vector in self._halves:
+            if self._space(six_vector) is not None:
+                self._refuse(node, self._frames.link(half, six_vector, False))
 
     def check_unframed(self) -> None:
         """Raise KindError if a scalar is added to the entries of a vector in a frame."""

@@ -268,7 +268,7 @@ class NumberRule(ByShapes):
 
     def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
         if self.of_one_unit:
-            common_unit(node.children(), units, f"{type(node).__name__} takes operands of one unit")
+            common_unit(node.children(), units, f"{type(node).__name__} expects operands of one unit")
         else:
             for value, unit in zip(node.children(), units, strict=True):
                 _number(node, value, unit)
