@@ -26,7 +26,14 @@ from .filter_run import FilterRun, Innovations
 from .imu.preintegrated_navigation import PreintegratedNavigation, model_of
 from .measurement import Measurement, check_definite
 from .observability import observability
-from .prediction.adaptive_prediction import AdaptivePrediction, Estimate, Prediction, method_of_tolerances
+from .prediction.adaptive_prediction import (
+    AdaptivePrediction,
+    AnyPrediction,
+    Estimate,
+    Prediction,
+    SteppedPrediction,
+    method_of_tolerances,
+)
 from .prediction.process_noise import NoiseDiscretization
 from .records import Records, Timeline, check_elements, timeline_of
 from .stochastic_model import OperatingPoint
@@ -121,7 +128,7 @@ class Filter(ABC):
         return step._replace(P=self.multiplied(step.P))
 
     @functools.cached_property
-    def _propagated(self) -> Callable[[OperatingPoint, jax.Array, jax.Array], Prediction]:
+    def _propagated(self) -> Callable[[OperatingPoint, jax.Array, jax.Array], AnyPrediction]:
         """`propagated` as one kernel where it can be, by several steps with tolerances."""
         one_step: Callable[..., Prediction] = self.propagated
         if self.in_scalars:
@@ -154,8 +161,10 @@ class Filter(ABC):
 
     def predict(
         self, t: Any, x: Values, P: Any, h: Any, u: Values | None = None, params: Values | None = None
-    ) -> Prediction:
+    ) -> AnyPrediction:
         """The estimate h seconds after t, with constant controls. Traceable.
+
+        With tolerances the result also has `steps` and `code`, the number of a `Result`; zero is success.
 
         Args:
             P: (n, n) covariance in the tangent space at x; or a number or (n,) for a diagonal one.
@@ -257,7 +266,7 @@ class Filter(ABC):
             x, transition, _ = self.model.step(point, h)
             return Prediction(x, P, transition)
 
-        def moved(point: OperatingPoint, h: jax.Array) -> Prediction:
+        def moved(point: OperatingPoint, h: jax.Array) -> AnyPrediction:
             one = jnp.eye(self.model.dimension, dtype=h.dtype)
             return self.adaptive(one_step, point, one, one, h) if self.adaptive else one_step(point, one, h)
 
@@ -294,7 +303,9 @@ class Filter(ABC):
         ts, hs = (jnp.asarray(a, point.t.dtype) for a in (timeline.ts, lengths))
         return RunStages(timeline, ts, hs, controls, point.x, self._covariance(P0, point), point.params)
 
-    def _result(self, timeline: Timeline, prior: Prediction, post: Estimate, updates: dict[str, Update]) -> FilterRun:
+    def _result(
+        self, timeline: Timeline, prior: AnyPrediction, post: Estimate, updates: dict[str, Update]
+    ) -> FilterRun:
         innovations = {}
         total = jnp.zeros((), post.P.dtype)
         information = jnp.zeros_like(post.P)
@@ -306,14 +317,15 @@ class Filter(ABC):
             total = total + jnp.sum(update.log_likelihood)
             information = information + update.information
         ts = jnp.asarray(timeline.ts, post.P.dtype)
+        steps = (prior.steps, prior.code) if isinstance(prior, SteppedPrediction) else (None, None)
         return FilterRun(
             *(ts, post.x, post.P, prior.x, prior.P, prior.transition, information, innovations, total),
-            *(self.model.group, prior.steps, prior.code),
+            *(self.model.group, *steps),
         )
 
     def scanned(
         self, rows: tuple[Any, ...], x0: Arrays, P0: jax.Array, params: Arrays
-    ) -> tuple[Prediction, Estimate, dict[str, Update]]:
+    ) -> tuple[AnyPrediction, Estimate, dict[str, Update]]:
         """The predictions, estimates and updates at all times. Arguments are prepared.
 
         Args:
@@ -355,8 +367,8 @@ class Filter(ABC):
     # ---- arguments ---------------------------------------------------------------------------------------------------
 
     @functools.cached_property
-    def _jitted_predict(self) -> Callable[..., Prediction]:
-        def predict(point: OperatingPoint, P: jax.Array, h: jax.Array) -> Prediction:
+    def _jitted_predict(self) -> Callable[..., AnyPrediction]:
+        def predict(point: OperatingPoint, P: jax.Array, h: jax.Array) -> AnyPrediction:
             return self._with_covariance(self._propagated(point, self.factored(P), h))
 
         return jax.jit(predict)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -36,17 +36,27 @@ class Estimate(NamedTuple):
 
 
 class Prediction(NamedTuple):
-    """The estimate x, P before a measurement, and the transition matrix Phi (n, n) of errors, $d(t + h) = Phi d(t)$.
+    """The estimate x, P before a measurement, and the transition matrix Phi (n, n) of errors, $d(t + h) = Phi d(t)$."""
 
-    With tolerances, `steps` is the number of accepted steps and `code` the number of the `Result`, zero if the end was
-    reached; x, P and Phi are NaN if not. Without tolerances both are None.
+    x: Arrays
+    P: jax.Array
+    transition: jax.Array
+
+
+class SteppedPrediction(NamedTuple):
+    """A `Prediction` by tolerances: also the number of accepted steps, and the number `code` of the `Result`.
+
+    The code is zero if the end was reached; x, P and Phi are NaN if not.
     """
 
     x: Arrays
     P: jax.Array
     transition: jax.Array
-    steps: jax.Array | None = None
-    code: jax.Array | None = None
+    steps: jax.Array
+    code: jax.Array
+
+
+AnyPrediction: TypeAlias = Prediction | SteppedPrediction
 
 
 class _Search(NamedTuple):
@@ -97,7 +107,7 @@ class AdaptivePrediction:
 
     def __call__(
         self, predict: Callable[..., Prediction], point: OperatingPoint, form: jax.Array, P: jax.Array, h: jax.Array
-    ) -> Prediction:
+    ) -> SteppedPrediction:
         """The prediction over h seconds by several steps of `predict`, with the covariance P in its form there."""
         search = self._search(*jax.lax.stop_gradient((point, P, h)))
         numbers = jnp.arange(self.control.max_steps)
@@ -114,7 +124,7 @@ class AdaptivePrediction:
         start = point.x, form, jnp.eye(self.model.dimension, dtype=form.dtype)
         end, _ = take_steps(step, start, (begins, ends), search.accepted, self.control.max_steps, False)
         x, P, transition = jax.tree.map(lambda a: jnp.where(search.code == 0, a, jnp.nan), end)
-        return Prediction(x, P, transition, steps=search.accepted, code=search.code)
+        return SteppedPrediction(x, P, transition, steps=search.accepted, code=search.code)
 
     def _search(self, point: OperatingPoint, P: jax.Array, length: jax.Array) -> _Search:
         """The ends of the steps, in s from the start."""
