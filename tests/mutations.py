@@ -253,7 +253,8 @@ def folder_of(path: Path) -> str:
 def files_for(path: Path, tree: Path = ROOT) -> list[str]:
     """The test files of a tree that concern a file of the package: those of its name, then those of its folder."""
     tests = tree / "tests"
-    files = [*sorted(tests.rglob(f"test_{path.stem}*.py"))]
+    name = f"test_{path.stem}"
+    files = sorted(tests.rglob(f"{name}*.py"), key=lambda file: (file.stem != name, file))
     files += [file for pattern in TESTS[folder_of(path)].split() for file in sorted(tests.glob(pattern))]
     return [str(file.relative_to(tree)) for file in dict.fromkeys(files)]
 
