@@ -29,6 +29,8 @@ from .solver import SearchEnd, SearchOptions, SeededSearch
 
 #: The tolerance of a target's matrix to be a pose.
 _NEARLY = 1e-4
+#: A multiplier within this factor of what is left of the gradient is not distinguishable from zero.
+_SIGNIFICANT = 10.0
 
 
 class ReachStatus(enum.IntEnum):
@@ -63,7 +65,7 @@ class ReachResult:
         angle: (..., frames), rad: angle between the axes of each frame and of its target; zero for targets that are
             positions.
         at_limit: (..., n): the degrees of freedom that would reduce the error but are at a limit: those of which the
-            multiplier $|J_i^T e| / (|J| |e|)$ is not zero. One that is below `slope` or below 1e-4 counts as zero.
+            multiplier $|J_i^T e| / (|J| |e|)$ is not zero. One below ten times `slope` or below 1e-3 counts as zero.
         slope: (...,): $|P J^T e| / (|J| |e|)$, with P the projection onto the directions that limits permit. It is zero
             at a local minimum, and meaningless if the target is reached.
         minima: (...,): the number of seeds that ended at a local minimum.
@@ -326,7 +328,7 @@ class _Reacher:
         # First-order conditions: a limit without a multiplier is not the cause.
         scale = jnp.sqrt(jnp.maximum(jnp.sum(J * J) * jnp.sum(e * e), np.finfo(e.dtype).tiny))
         multiplier = jnp.where(solution.free, 0.0, jnp.abs(J.T @ e) / scale)
-        at_limit = ~reached & (multiplier > jnp.maximum(solution.slope, self._options.flat))
+        at_limit = ~reached & (multiplier > _SIGNIFICANT * jnp.maximum(solution.slope, self._options.flat))
         missed = jnp.where(jnp.any(at_limit), int(ReachStatus.LIMIT), int(ReachStatus.UNREACHABLE))
         status = jnp.where(reached, int(ReachStatus.REACHED), missed)
         measures = (solution.slope, solution.minima, solution.seeds, self.errors.constraints.values(x, {}, {}))
