@@ -28,7 +28,7 @@ class IdentificationStatus(enum.Enum):
 
     - `IDENTIFIED`: the data determine all base parameters, and the residuals are consistent with the noise.
     - `UNDETERMINED`: the residuals are consistent with the noise, but the data do not determine all base parameters;
-    `undetermined` names these.
+      `undetermined` names these.
     - `UNPHYSICAL`: physical bodies and drives fit the data worse than noise explains.
     - `MISFIT`: residuals are larger than the noise, or correlated in time: the model is incomplete, and the covariance
       is too small.

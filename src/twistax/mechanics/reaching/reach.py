@@ -37,7 +37,7 @@ class ReachStatus(enum.IntEnum):
     """The status of inverse kinematics for one target.
 
     - `REACHED`: all frames are at their targets within the tolerances, all tasks are satisfied, and all constraints
-    hold.
+      hold.
     - `LIMIT`: without joint limits the search from the best seed would have come nearer; `at_limit` marks these joints.
     - `UNREACHABLE`: no joint limit keeps the search from the best seed from the target, as where an arm is stretched.
       `distance` is what remains. If `slope` is small, it ended at a minimum of the distance; otherwise it reached the
