@@ -46,7 +46,7 @@ class ErrorStateKalman(Filter):
             estimated errors of the mean and of standard deviations, in units of `atol + rtol * size`, have a root mean
             square of at most one. The method is an embedded pair, by default RKMK with TSIT5. The error of the noise
             covariance has no estimate; `max_step` bounds it.
-        control: a `tx.StepControl` of these steps, of which a prediction tries at most `max_steps`, by default 256.
+        control: a `tx.StepControl` of these steps. A prediction tries at most `max_steps`, by default 256.
         gate: a probability. A measurement is used only if its normalised innovation squared is below the chi-square
             quantile of this probability.
         noise: the discretisation of continuous noise: `VanLoan()`, the default, or `Trapezoidal()`.
