@@ -108,8 +108,8 @@ def _compiled(name: str, program: dict[str, Any]) -> Any:
     """CasADi's SQP method with its QP solver qrqp as generated C, and the Hessian of the cost alone."""
     ca, compiler = needed("casadi"), c_compiler()
     x, p, weight, rows = program["x"], program["p"], ca.SX.sym("weight"), ca.SX.sym("rows", program["g"].numel())
-    hessian = ca.triu(ca.hessian(weight * program["f"], x)[0])
-    names = ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]
+    hessian = ca.hessian(weight * program["f"], x)[0]
+    names = ["x", "p", "lam_f", "lam_g"], ["hess_gamma_x_x"]
     silent = {f"print_{what}": False for what in ("header", "iteration", "status", "time")}
     of_qp = {f"print_{what}": False for what in ("header", "iter", "info")} | {"error_on_fail": False}
     options: dict[str, Any] = {

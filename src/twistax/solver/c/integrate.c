@@ -285,27 +285,32 @@ int32_t twx_sensitivities(twx_memory *t, const double *z) {
   return 0;
 }
 
+/* to (n,) += factor from (n,) */
+TWX_INLINE void add_multiple(size_t n, double factor, const double *restrict from, double *restrict to) {
+  for (size_t i = 0; i < n; i++) to[i] += factor * from[i];
+}
+
+/* to (n,) += adjoint (n,) times the first n columns of J (n, size) */
+TWX_INLINE void add_pulled(size_t n, size_t size, const double *restrict adjoint, const double *restrict J, double *restrict to) {
+  for (size_t r = 0; r < n; r++)
+    for (size_t i = 0; i < n; i++) to[i] += adjoint[r] * J[r * size + i];
+}
+
 /* Adjoints of the slopes of a substep from that of its end, which becomes that of its start. */
 static void explicit_adjoints(twx_memory *t, size_t j, size_t k, double *adjoint) {
   const twx_phase *f = t->phase;
-  const size_t s = STAGES_OF(f), n = N_OF(t);
+  const size_t s = STAGES_OF(f), n = N_OF(t), size = SIZE_OF(t), stride = t->K * n;
   const double length = t->widths[k] / f->substeps, *pulls = t->pulls + (stage_place(t, j * s) * t->K + k) * n;
+  double *const adjoints = t->adjoints + k * n, *const through = t->through + k * n;
   for (size_t i = s; i-- > 0;) {
-    double *restrict own = t->adjoints + (i * t->K + k) * n, *restrict back = t->through + (i * t->K + k) * n;
-    const double *restrict J = t->J + ((j * s + i) * t->K + k) * n * SIZE_OF(t);
-    for (size_t d = 0; d < n; d++) own[d] = length * f->b[i] * adjoint[d], back[d] = pulls[i * t->K * n + d];
-    for (size_t l = i + 1; l < s; l++) {
-      const double *restrict through = t->through + (l * t->K + k) * n, factor = length * f->a[l * s + i];
-      if (factor == 0) continue;
-      for (size_t d = 0; d < n; d++) own[d] += factor * through[d];
-    }
-    for (size_t r = 0; r < n; r++) {
-      if (own[r] == 0) continue;
-      for (size_t d = 0; d < n; d++) back[d] += own[r] * J[r * SIZE_OF(t) + d];
-    }
+    double *const of_stage = adjoints + i * stride, *const back = through + i * stride;
+    memset(of_stage, 0, sizeof(double) * n), memcpy(back, pulls + i * stride, sizeof(double) * n);
+    add_multiple(n, length * f->b[i], adjoint, of_stage);
+    for (size_t l = i + 1; l < s; l++)
+      if (f->a[l * s + i] != 0) add_multiple(n, length * f->a[l * s + i], through + l * stride, of_stage);
+    add_pulled(n, size, of_stage, t->J + ((j * s + i) * t->K + k) * n * size, back);
   }
-  for (size_t i = 0; i < s; i++)
-    for (size_t d = 0; d < n; d++) adjoint[d] += t->through[(i * t->K + k) * n + d];
+  for (size_t i = 0; i < s; i++) add_multiple(n, 1, through + i * stride, adjoint);
 }
 
 static void implicit_adjoints(twx_memory *t, size_t j, size_t k, double *adjoint) {

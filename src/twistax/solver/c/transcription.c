@@ -123,8 +123,9 @@ static void rows_derivatives(twx_memory *t, const double *z, const twx_multiplie
     if (!d->F && !bent) continue;
     twx_call(&t->phase->rows.slopes, t, twx_inputs_at(t, z, point), t->K, t->row_slopes, rows * size);
     if (d->F) point_jacobians(t, point, d);
-    for (size_t r = 0; r < t->K * rows && bent; r++)
-      for (size_t i = 0; i < n && t->weights[r] != 0; i++) pulls[r / rows * n + i] += t->weights[r] * t->row_slopes[r * size + i];
+    for (size_t k = 0; k < t->K && bent; k++)
+      for (size_t r = k * rows; r < (k + 1) * rows; r++)
+        for (size_t i = 0; i < n && t->weights[r] != 0; i++) pulls[k * n + i] += t->weights[r] * t->row_slopes[r * size + i];
     if (!bent || !t->phase->rows.bends.run || point > (size_t)t->phase->substeps) continue;
     twx_call(&t->phase->rows.bends, t, weighted_at(t, z, point), t->K, t->bends, size * size);
     add_bends(t, point);
