@@ -104,6 +104,14 @@ def test_parameters_and_time_limits_count(tmp_path: Path) -> None:
     assert u[0] == pytest.approx(float(full(regulator()).feedback({"p": 1.2, "v": 0.3})["u"]), abs=1e-10)
 
 
+def test_a_sine_is_computed_once_for_values_and_derivatives(tmp_path: Path) -> None:
+    a, w, u = tx.State("a"), tx.State("w"), tx.Control("u")
+    dynamics = tx.compile(tx.System(rates={a: w, w: u - tx.Sin(a)}))
+    problem = Problem(dynamics, tx.Minimize(running=a * a + u * u), nodes=3, final_time=1.0, initial={a: 1.0, w: 0.0})
+    text = problem.to_c(tmp_path, name="loop").source.read_text()
+    assert text.count(" sin(") == text.count(" cos(") == 1
+
+
 def test_functions_without_a_form_in_scalars_are_refused(tmp_path: Path) -> None:
     p, u, A = tx.State("p", shape=(20,)), tx.Control("u", shape=(20,)), tx.Parameter("A", value=np.eye(20))
     dynamics = tx.compile(tx.System(rates={p: tx.linalg.Solve(A, u)}))

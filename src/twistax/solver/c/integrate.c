@@ -18,12 +18,26 @@ static size_t stage_place(const twx_memory *t, size_t stage) { return (size_t)t-
 
 static double *q_of(const twx_memory *t, size_t place) { return t->q + place * t->K * SIZE_OF(t); }
 
+static double *shared_of(const twx_memory *t, size_t stage) {
+  return t->shared + stage * t->K * (size_t)t->phase->rate.shared_width;
+}
+
 twx_inputs twx_inputs_at(const twx_memory *t, const double *z, size_t place) {
+  const size_t before = stage_place(t, 0);
   return (twx_inputs){.z = q_of(t, place), .width = SIZE_OF(t), .share = t->shares + place * t->K,
-                      .base = z + t->phase->at.z[t->first], .stage = t->first};
+                      .base = z + t->phase->at.z[t->first], .stage = t->first,
+                      .shared = place < before ? NULL : shared_of(t, place - before)};
+}
+
+/* Elementary functions in the rate of a stage, which its value and derivatives read. */
+static void share(const twx_memory *t, const double *z, size_t stage) {
+  const twx_smooth *rate = &t->phase->rate;
+  if (rate->shared_width > 0)
+    twx_call(&rate->shared, t, twx_inputs_at(t, z, stage_place(t, stage)), t->K, shared_of(t, stage), (size_t)rate->shared_width);
 }
 
 static void rates(const twx_memory *t, const double *z, size_t stage, double *slopes) {
+  share(t, z, stage);
   twx_call(&t->phase->rate.value, t, twx_inputs_at(t, z, stage_place(t, stage)), t->K, slopes, N_OF(t));
 }
 
@@ -275,7 +289,10 @@ int32_t twx_sensitivities(twx_memory *t, const double *z) {
   const twx_phase *f = t->phase;
   if (twx_integrate(t, z)) return 1;
   if (f->window == 0 && *t->state > 1) return 0;
-  for (size_t i = 0; i < t->stages; i++) rate_slopes(t, z, i);
+  for (size_t i = 0; i < t->stages; i++) {
+    if (f->implicit) share(t, z, i); /* stages were moved after their last rates */
+    rate_slopes(t, z, i);
+  }
   for (size_t block = 0; block < t->blocks; block++)
     for (size_t j = 0; j < (size_t)f->substeps; j++) {
       if (!f->implicit) explicit_maps(t, j, block);

@@ -32,6 +32,7 @@ twx_phase_sizes twx_lay_out(twx_memory *t, const twx_phase *f, double *work, dou
   t->state = next_of(work, &used.work, 1);
   t->at = next_of(work, &used.work, !twx_is_kept(f) ? 0 : (K + 1) * (size_t)f->point + K * (size_t)f->m + (size_t)f->p);
   t->q = next_of(work, &used.work, (S + 1 + all) * K * size), t->shares = next_of(work, &used.work, (S + 1 + all) * K);
+  t->shared = next_of(work, &used.work, all * K * (size_t)f->rate.shared_width);
   t->slopes = next_of(work, &used.work, all * K * n), t->rows = next_of(work, &used.work, K * rows);
   t->defects = next_of(work, &used.work, K * n), t->q_node = next_of(work, &used.work, n + (size_t)f->p);
   t->matrix = next_of(work, &used.work, K * sn * sn), t->right = next_of(work, &used.work, f->implicit ? (sn + s) * size + sn : 0);
@@ -73,8 +74,9 @@ void twx_call(const twx_kernel *f, const twx_memory *t, twx_inputs in, size_t ro
   const int64_t stride = t->phase->point + t->phase->m; /* from a node to the next */
   const double *const target = in.target ? in.target : in.base ? in.base + stride : NULL;
   const double *at[TWX_ARGUMENTS] = {in.z, in.share, in.base, target, t->phase->data, f->numbers, in.weights,
-                                   t->phase->node_rows + in.stage * (size_t)t->phase->node_width};
-  const int64_t strides[TWX_ARGUMENTS] = {(int64_t)in.width, 1, stride, stride, 0, 0, (int64_t)in.weight_width, t->phase->node_width};
+                                   t->phase->node_rows + in.stage * (size_t)t->phase->node_width, in.shared};
+  const int64_t strides[TWX_ARGUMENTS] = {(int64_t)in.width, 1, stride, stride, 0, 0, (int64_t)in.weight_width, t->phase->node_width,
+                                          t->phase->rate.shared_width};
   int64_t table[2 * (TWX_ARGUMENTS + 1)];
   if (!f->run) {
     memset(result, 0, sizeof(double) * rows * size);

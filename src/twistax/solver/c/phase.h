@@ -15,6 +15,7 @@ typedef struct { /* arrays of a window of a phase: K intervals, S substeps, s st
   double *at;                   /* the point for which it is; both only where the window is the whole phase */
   double *q, *shares;           /* (S + 1 + S s, K, size), (S + 1 + S s, K): ends of substeps, then stages */
   double *slopes;               /* (S s, K, n): of the stages */
+  double *shared;               /* (S s, K, functions): elementary functions in the rate of the stages */
   double *J;                    /* (S s, K, n, size): derivatives of the rate by q */
   double *maps;                 /* (places, blocks, n, size, lanes): sensitivities of eta, but for starts, where they are one */
   double *along;                /* of implicit stages (s, blocks, n, size, lanes): sensitivities of their slopes */
@@ -60,7 +61,7 @@ TWX_INTERNAL void twx_open_window(twx_memory *memory, size_t first);
 #define FOR_WINDOWS(t) \
   for (size_t begin = 0; begin < (size_t)(t).phase->intervals && (twx_open_window(&(t), begin), 1); begin += twx_window_of((t).phase))
 typedef struct { /* what a kernel reads: rows of `width` and `weight_width` numbers; target NULL: the node after base */
-  const double *z, *share, *base, *target, *weights;
+  const double *z, *share, *base, *target, *weights, *shared;
   size_t width, weight_width;
   size_t stage; /* of the first row */
 } twx_inputs;

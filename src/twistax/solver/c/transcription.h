@@ -19,8 +19,10 @@
 #include "core.h"
 
 /* What kernels read: q, or (eta, p); the share of the duration; points of nodes; numbers of the problem; numbers of the
- * kernel; weights; the numbers of a node. */
-typedef enum { TWX_Z, TWX_SHARE, TWX_BASE, TWX_TARGET, TWX_DATA, TWX_NUMBERS, TWX_WEIGHTS, TWX_ROW, TWX_ARGUMENTS } twx_argument;
+ * kernel; weights; the numbers of a node; elementary functions that values and derivatives share. */
+typedef enum {
+  TWX_Z, TWX_SHARE, TWX_BASE, TWX_TARGET, TWX_DATA, TWX_NUMBERS, TWX_WEIGHTS, TWX_ROW, TWX_SHARED, TWX_ARGUMENTS
+} twx_argument;
 
 typedef struct { /* rows of the arrays in a table, from first to end; NULL: the result is zero */
   void (*run)(const int64_t *table, int64_t first, int64_t end);
@@ -29,8 +31,8 @@ typedef struct { /* rows of the arrays in a table, from first to end; NULL: the 
 } twx_kernel;
 
 typedef struct { /* a vector with its first derivative, and the second of a weighted sum */
-  twx_kernel value, slopes, bends;
-  int32_t rows;
+  twx_kernel value, slopes, bends, shared; /* shared: elementary functions that the others read; of the rate alone */
+  int32_t rows, shared_width;
 } twx_smooth;
 
 /* Where a row stands: number of an inequality of its stage, or -1: nowhere, or -2 - number of an equality. */

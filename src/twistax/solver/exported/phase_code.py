@@ -78,7 +78,9 @@ class PhaseCode:
     def _smooth(self, smooth: SmoothKernels, name: str) -> str:
         made: list[BatchKernel] = smooth.kernels
         parts = [self.kernels.structure(k, f"{name}_{which}") for k, which in zip(made, ("value", "slopes", "bends"))]
-        return "{" + ", ".join([*parts, *[_NO_KERNEL] * (3 - len(parts)), str(smooth.rows)]) + "}"
+        parts += [_NO_KERNEL] * (3 - len(parts))
+        parts.append(_NO_KERNEL if smooth.shared is None else self.kernels.structure(smooth.shared, f"{name}_shared"))
+        return "{" + ", ".join([*parts, str(smooth.rows), str(smooth.shared_width)]) + "}"
 
     def _nodes(self, structure: ctypes.Structure, functions: list[SmoothKernels]) -> str:
         rows = []

@@ -348,6 +348,7 @@ class _WithNumbers(PhaseFunctions):
         order: int,
         key: Hashable,
         numbers: Array,
+        shares: bool,
     ) -> SmoothKernels:
         count, at = len(self._places), list(arguments).index(Argument.DATA)
 
@@ -357,7 +358,7 @@ class _WithNumbers(PhaseFunctions):
             return function(*arrays)
 
         longer = {**arguments, Argument.Z: arguments[Argument.Z] + count}
-        return SmoothKernels(with_numbers, longer, order, (key, tuple(self._places)), numbers)
+        return SmoothKernels(with_numbers, longer, order, (key, tuple(self._places)), numbers, shares)
 
 
 def _replaced(data: Any, places: Array, values: Any) -> Any:
