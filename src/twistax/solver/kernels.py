@@ -31,11 +31,10 @@ from ..scalar.walk import uncollected
 from ..system.functions import Cache
 from ..system.hessian import REFUSALS, WeightedHessian, hessian_in_arrays
 from ..system.jacobian import Differentiated, RateJacobian
-from .shared_functions import SharedFunctions
 
 
 class Argument(enum.IntEnum):
-    """The arguments of a kernel, in the layout of `twx_argument` in transcription.h."""
+    """The arguments of a kernel, in the layout of `twx_argument` in transcription.h. Kernels in C have the last one."""
 
     Z = 0
     SHARE = 1
@@ -87,7 +86,6 @@ class BatchKernel:
         structure: its address, arguments and numbers, for the core.
         owner: what the address belongs to.
         written: what gives the function as a program of scalars anew, its arguments, and values of its numbers.
-        reads: its arguments.
     """
 
     def __init__(
@@ -99,7 +97,7 @@ class BatchKernel:
         written: Callable[[], ScalarForm] | None = None,
     ) -> None:
         self.owner, self._numbers, self.written = owner, numbers, written
-        self.reads, self._address = reads, address
+        self._reads, self._address = reads, address
         at = None if numbers is None else numbers.ctypes.data
         self.structure = KernelStructure(address, len(reads), (ctypes.c_int32 * len(Argument))(*reads), at)
 
@@ -110,7 +108,7 @@ class BatchKernel:
             return result
         numbers = {} if self._numbers is None else {Argument.NUMBERS: self._numbers[None]}
         known = {**arguments, **numbers}
-        arrays = [*(np.ascontiguousarray(known[k], float) for k in self.reads), result]
+        arrays = [*(np.ascontiguousarray(known[k], float) for k in self._reads), result]
         strides = [a.shape[1] if len(a) == rows > 1 else 0 for a in arrays[:-1]]
         table = (ctypes.c_int64 * (2 * len(arrays)))(*(a.ctypes.data for a in arrays), *strides, size)
         call = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)(self._address)
@@ -218,8 +216,6 @@ class SmoothKernels:
         order: of the derivatives that are needed, 0 to 2.
         key: equal for functions that differ in their numbers alone; None: this one is like no other.
         numbers: values of the numbers in its expressions; kernels of the same key differ in these.
-        shares: whether the elementary functions of the values are computed by a kernel of their own, whose result the
-            kernels of values and derivatives read.
     """
 
     def __init__(
@@ -229,46 +225,26 @@ class SmoothKernels:
         order: int = 2,
         key: Hashable = None,
         numbers: Array | None = None,
-        shares: bool = False,
     ) -> None:
         numbers = np.zeros(0) if numbers is None else numbers
         sizes = dict(arguments) | ({Argument.NUMBERS: len(numbers)} if len(numbers) else {})
-        make = functools.partial(_Made, function, sizes, order, shares)
-        made = make() if key is None else _CACHE.get((key, tuple(sizes.items()), order, shares), make)
+        make = functools.partial(_Made, function, sizes, order)
+        made = make() if key is None else _CACHE.get((key, tuple(sizes.items()), order), make)
         self.rows = made.rows
         self._made, self._numbers = made, numbers
 
     @functools.cached_property
     def kernels(self) -> list[BatchKernel]:
         """Of the values and of the derivatives; waits for their machine code."""
-        return list(map(self._bound, self._made.kernels))
-
-    @functools.cached_property
-    def shared(self) -> BatchKernel | None:
-        """Of the elementary functions that the other kernels read; None where they read none."""
-        read = any(Argument.SHARED in kernel.reads for kernel in self.kernels)
-        return self._bound(self._made.shared) if read and self._made.shared is not None else None
-
-    @property
-    def shared_width(self) -> int:
-        """The number of these functions."""
-        return 0 if self.shared is None else self._made.shared_width
-
-    def _bound(self, pending: _Pending) -> BatchKernel:
-        return pending.kernel.bound(self._numbers, functools.partial(pending.written, self._numbers))
-
-    def slopes(self, rows: int, arguments: Mapping[Argument, Array]) -> Array:
-        """The derivatives (rows, self.rows, entries of the first argument)."""
-        if self.shared is not None:
-            arguments = {**arguments, Argument.SHARED: self.shared(rows, self.shared_width, arguments)}
-        return self.kernels[1](rows, self.rows * self._made.size, arguments).reshape(rows, self.rows, -1)
+        return [
+            pending.kernel.bound(self._numbers, functools.partial(pending.written, self._numbers))
+            for pending in self._made.kernels
+        ]
 
     @property
     def structure(self) -> SmoothStructure:
         """For the core."""
-        of_order = dict(zip(("value", "slopes", "bends"), (kernel.structure for kernel in self.kernels)))
-        shared = {} if self.shared is None else {"shared": self.shared.structure}
-        return SmoothStructure(**of_order, **shared, rows=self.rows, shared_width=self.shared_width)
+        return SmoothStructure(*(kernel.structure for kernel in self.kernels), rows=self.rows)
 
 
 #: One thread makes machine code, so that it shares Python with the one that traces alone.
@@ -281,9 +257,7 @@ _CACHE = Cache(200)
 class _Made:
     """The kernels of a function, without its numbers."""
 
-    def __init__(
-        self, function: Callable[..., Any], arguments: Mapping[Argument, int], order: int, shares: bool
-    ) -> None:
+    def __init__(self, function: Callable[..., Any], arguments: Mapping[Argument, int], order: int) -> None:
         names, sizes = list(arguments), [(size,) for size in arguments.values()]
         with in_double():
             shaped = [jax.ShapeDtypeStruct(size, np.dtype(float)) for size in sizes]
@@ -297,38 +271,21 @@ class _Made:
                 (_slopes, jax.jacfwd(plain), (names, sizes)),
                 (_bends, functools.partial(_second, plain), weights),
             ]
-            self.size, self.shared_width = next(iter(arguments.values())), 0
-            self.shared: _Pending | None = None
-            varying = tuple(k for k, name in enumerate(names) if name != Argument.NUMBERS)
-            if shares and (width := _width_of_functions(closed, varying)):
-                self.shared_width, computed = width, functools.partial(_functions, varying=varying)
-                self.shared = _Pending(closed, lambda closed: computed(closed).program, None, (names, sizes))
-                makers = [(functools.partial(_reading, computed, made), *rest) for made, *rest in makers]
-            self.kernels = [_Pending(closed, *maker, self.shared_width > 0) for maker in makers[: order + 1]]
+            self.kernels = [_Pending(closed, *maker) for maker in makers[: order + 1]]
 
 
 class _Pending:
-    """A kernel whose machine code is made in a thread of its own, while others are traced and differentiated.
+    """A kernel whose machine code is made in a thread of its own, while others are traced and differentiated."""
 
-    Args:
-        made: of the traced function, its program.
-        function: that JAX runs where there is no machine code.
-        arguments: of the function, with their shapes.
-        shares: whether the program has `Argument.SHARED` as one more argument.
-    """
-
-    def __init__(
-        self, closed: ClosedJaxpr, made: Callable[..., Any], function: Any, arguments: Any, shares: bool = False
-    ) -> None:
+    def __init__(self, closed: ClosedJaxpr, made: Callable[..., Any], function: Any, arguments: Any) -> None:
         self._closed, self._maker = closed, made
         self._arguments, self._sizes = arguments
-        self._of_program = [*self._arguments, Argument.SHARED] if shares else self._arguments
         self._function, self._lock = function, threading.Lock()
         self._kernel: _Unbound | None = None
         self._error: BaseException | None = None
         try:
             self._program: ScalarProgram | None = made(closed)
-        except (*REFUSALS, NotNative):
+        except REFUSALS:
             self._program = None
         self._thread = threading.Thread(target=self._compile, daemon=True)
         self._thread.start()
@@ -339,7 +296,7 @@ class _Pending:
         try:
             # Settings of JAX are those of a thread.
             with _COMPILING, in_double(), contextlib.suppress(NotNative, BuildError):
-                self._kernel = _Unbound.of_program(self._program, self._of_program)
+                self._kernel = _Unbound.of_program(self._program, self._arguments)
         except BaseException as error:
             self._error = error
 
@@ -363,7 +320,7 @@ class _Pending:
             ModelError, NotNative: it has no scalar form.
         """
         with in_double():
-            return ScalarForm(native_form(self._maker(self._closed)), self._of_program, numbers)
+            return ScalarForm(native_form(self._maker(self._closed)), self._arguments, numbers)
 
 
 def _value(closed: ClosedJaxpr) -> ScalarProgram:
@@ -382,26 +339,6 @@ def _slopes(closed: ClosedJaxpr) -> ScalarProgram:
 
 def _bends(closed: ClosedJaxpr) -> ScalarProgram:
     return WeightedHessian(_differentiated(closed)).program
-
-
-@functools.lru_cache(1)
-def _functions(closed: ClosedJaxpr, varying: tuple[int, ...]) -> SharedFunctions:
-    return SharedFunctions(native_form(_value(closed)), varying)
-
-
-def _width_of_functions(closed: ClosedJaxpr, varying: tuple[int, ...]) -> int:
-    try:
-        return _functions(closed, varying).width
-    except (*REFUSALS, NotNative):
-        return 0
-
-
-def _reading(
-    functions: Callable[[ClosedJaxpr], SharedFunctions],
-    made: Callable[[ClosedJaxpr], ScalarProgram],
-    closed: ClosedJaxpr,
-) -> ScalarProgram:
-    return functions(closed).read_by(native_form(made(closed)))
 
 
 def _second(function: Callable[..., Any], z: Any, *rest: Any) -> Any:

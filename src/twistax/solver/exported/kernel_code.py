@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,9 +16,13 @@ from ...scalar.targets.c import c_type, expression
 from ...scalar.targets.llvm.code import NotNative
 from ...system.export.c_code import numbers
 from ...system.hessian import REFUSALS
-from ..kernels import Argument, BatchKernel
+from ..kernels import Argument, BatchKernel, ScalarForm
+from .shared_functions import SharedFunctions
 
 _REAL = c_type(np.dtype(float))
+
+#: Of a function whose result is zero.
+NO_KERNEL = "{NULL, 0, {0}, NULL}"
 
 
 class KernelCode:
@@ -33,7 +37,7 @@ class KernelCode:
         self.functions, self.operations = list[str](), dict[str, int]()
         self._tables = dict[Table, None]()
 
-    def structure(self, kernel: BatchKernel, what: str) -> str:
+    def structure(self, kernel: BatchKernel | None, what: str) -> str:
         """The initialiser of a `twx_kernel`.
 
         Args:
@@ -41,17 +45,29 @@ class KernelCode:
         Raises:
             TrajectoryError: the function has no scalar form.
         """
-        if kernel.structure.run is None:
-            return "{NULL, 0, {0}, NULL}"
-        if kernel.written is None:
-            raise TrajectoryError(f"to_c: {what} has no scalar form")
-        try:
-            program, arguments, values = kernel.written()
-        except (*REFUSALS, NotNative) as error:
-            raise TrajectoryError(
-                f"to_c: {what} has no scalar form: {error}\n"
-                "  fix: use nodes, without JAX functions that call a library or the host"
-            ) from error
+        return self.written(None if kernel is None else scalar_form(kernel, what), what)
+
+    def sharing(self, kernels: Mapping[str, BatchKernel]) -> tuple[list[str], int]:
+        """The initialisers of kernels that compute common elementary functions once: those of the kernels, and that of
+        the functions, whose number is the second result.
+
+        Args:
+            kernels: of the values, then of derivatives, by name.
+        """
+        forms = [scalar_form(kernel, what) for what, kernel in kernels.items()]
+        functions = None if forms[0] is None else SharedFunctions(forms[0].program)
+        of_functions, width = None, 0
+        if forms[0] is not None and functions is not None and functions.width:
+            of_functions, width = forms[0]._replace(program=functions.program), functions.width
+            forms = [form and _reading(functions, form) for form in forms]
+        names = [*kernels, f"{next(iter(kernels))}_functions"]
+        return [self.written(form, what) for form, what in zip([*forms, of_functions], names, strict=True)], width
+
+    def written(self, form: ScalarForm | None, what: str) -> str:
+        """The initialiser of a `twx_kernel`, whose function is written; None: its result is zero."""
+        if form is None:
+            return NO_KERNEL
+        program, arguments, values = form
         name = f"kernel_{len(self.operations)}_{what}"
         used, text = _function(name, program)
         self.functions.append(text)
@@ -69,6 +85,29 @@ class KernelCode:
         """All functions, after the tables that they load from."""
         tables = [numbers(table.name, table.numbers(np.dtype(float)), _REAL) for table in self._tables]
         return "\n".join([*tables, *self.functions])
+
+
+def scalar_form(kernel: BatchKernel, what: str) -> ScalarForm | None:
+    """The program of a kernel; None if its result is zero.
+
+    Raises:
+        TrajectoryError: the function has no scalar form.
+    """
+    if kernel.structure.run is None:
+        return None
+    if kernel.written is None:
+        raise TrajectoryError(f"to_c: {what} has no scalar form")
+    try:
+        return kernel.written()
+    except (*REFUSALS, NotNative) as error:
+        raise TrajectoryError(
+            f"to_c: {what} has no scalar form: {error}\n"
+            "  fix: use nodes, without JAX functions that call a library or the host"
+        ) from error
+
+
+def _reading(functions: SharedFunctions, form: ScalarForm) -> ScalarForm:
+    return form._replace(program=functions.read_by(form.program), arguments=[*form.arguments, Argument.SHARED])
 
 
 def _function(name: str, program: ScalarProgram) -> tuple[list[int], str]:

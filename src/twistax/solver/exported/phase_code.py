@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from ...scalar.targets.c import c_type
-from ..kernels import BatchKernel, SmoothKernels
+from ..kernels import SmoothKernels
 from ..sources import constant
 from ..structures import NodeStructure
 from ..transcription import Transcription
-from .kernel_code import KernelCode, array
+from .kernel_code import NO_KERNEL, KernelCode, array
 
 #: Arrays that a controller has in its own memory.
 _OWN_MEMORY = ("data", "node_rows", "work", "scratch", "cost_slopes", "steps", "join", "window")
@@ -20,7 +20,8 @@ _OWN_MEMORY = ("data", "node_rows", "work", "scratch", "cost_slopes", "steps", "
 #: Intervals that the core has side by side.
 LANES = constant("phase.h", "TWX_LANES")
 
-_NO_KERNEL = "{NULL, 0, {0}, NULL}"
+#: The kernels of a `twx_smooth`.
+_ORDERS = ("value", "slopes", "bends")
 
 
 class PhaseCode:
@@ -41,10 +42,9 @@ class PhaseCode:
         (phase,), (structure,) = transcription.phases, transcription.described
         fields = [self._field(structure, name) for name, _ in type(structure)._fields_ if name not in _OWN_MEMORY]
         kernels = phase.kernels
-        fields += [f".{name} = {self._smooth(getattr(kernels, name), name)}" for name in ("rate", "rows", "gap")]
-        for name in ("retract", "turn"):
-            kernel = getattr(kernels, name)
-            fields.append(f".{name} = {_NO_KERNEL if kernel is None else self.kernels.structure(kernel, name)}")
+        fields.append(f".rate = {self._rate(kernels.rate)}")
+        fields += [f".{name} = {self._smooth(getattr(kernels, name), name)}" for name in ("rows", "gap")]
+        fields += [f".{name} = {self.kernels.structure(getattr(kernels, name), name)}" for name in ("retract", "turn")]
         places = {name: self._pointer(getattr(structure.at, name)) for name, _ in structure.at._fields_}
         offsets = ", ".join(f".{name} = {place}" for name, place in places.items())
         fields += [f".at = {{{offsets}}}", ".node = nodes_0", f".node_width = {structure.node_width}"]
@@ -75,12 +75,16 @@ class PhaseCode:
             self._texts.append(array(self._names[address], self._arrays[address]))
         return self._names[address]
 
+    def _rate(self, rate: SmoothKernels) -> str:
+        kernels = {f"rate_{order}": kernel for order, kernel in zip(_ORDERS, rate.kernels)}
+        parts, width = self.kernels.sharing(kernels)
+        parts[-1:-1] = [NO_KERNEL] * (len(_ORDERS) + 1 - len(parts))
+        return "{" + ", ".join([*parts, str(rate.rows), str(width)]) + "}"
+
     def _smooth(self, smooth: SmoothKernels, name: str) -> str:
-        made: list[BatchKernel] = smooth.kernels
-        parts = [self.kernels.structure(k, f"{name}_{which}") for k, which in zip(made, ("value", "slopes", "bends"))]
-        parts += [_NO_KERNEL] * (3 - len(parts))
-        parts.append(_NO_KERNEL if smooth.shared is None else self.kernels.structure(smooth.shared, f"{name}_shared"))
-        return "{" + ", ".join([*parts, str(smooth.rows), str(smooth.shared_width)]) + "}"
+        parts = [self.kernels.structure(k, f"{name}_{order}") for k, order in zip(smooth.kernels, _ORDERS)]
+        parts += [NO_KERNEL] * (len(_ORDERS) + 1 - len(parts))
+        return "{" + ", ".join([*parts, str(smooth.rows), "0"]) + "}"
 
     def _nodes(self, structure: ctypes.Structure, functions: list[SmoothKernels]) -> str:
         rows = []

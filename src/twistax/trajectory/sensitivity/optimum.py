@@ -348,7 +348,6 @@ class _WithNumbers(PhaseFunctions):
         order: int,
         key: Hashable,
         numbers: Array,
-        shares: bool,
     ) -> SmoothKernels:
         count, at = len(self._places), list(arguments).index(Argument.DATA)
 
@@ -358,7 +357,7 @@ class _WithNumbers(PhaseFunctions):
             return function(*arrays)
 
         longer = {**arguments, Argument.Z: arguments[Argument.Z] + count}
-        return SmoothKernels(with_numbers, longer, order, (key, tuple(self._places)), numbers, shares)
+        return SmoothKernels(with_numbers, longer, order, (key, tuple(self._places)), numbers)
 
 
 def _replaced(data: Any, places: Array, values: Any) -> Any:

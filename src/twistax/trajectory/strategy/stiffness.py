@@ -102,7 +102,7 @@ def _modes(staged: Staged, point: Iterate, instance: Instance, least: Sequence[f
     data, every = staged.numbers.vector(instance), list[Array]()
     shared = np.asarray(point.border)[staged.border.unknown]
     for part, segment, radius in zip(staged.parts, staged.transcribed.segments, least or [0.0] * len(staged.parts)):
-        phase, here, n = part.phase, segment.of(point), part.shooting.n
+        phase, here, n, size = part.phase, segment.of(point), part.shooting.n, part.shooting.size
         count = phase.intervals
         arguments = {
             Argument.Z: np.concatenate([np.zeros((count, n)), here.us, np.tile(shared, (count, 1))], axis=1),
@@ -110,7 +110,7 @@ def _modes(staged: Staged, point: Iterate, instance: Instance, least: Sequence[f
             Argument.BASE: part.point.joined(here.xs, 1)[:-1],
             Argument.DATA: data[None],
         }
-        slopes = phase.kernels.rate.slopes(count, arguments)[:, :, :n]
+        slopes = phase.kernels.rate.kernels[1](count, n * size, arguments).reshape(count, n, size)[:, :, :n]
         scaled = slopes * (phase.widths / phase.method.substeps)[:, None, None]
         largest = np.abs(scaled).sum(axis=2).max(axis=1, initial=0.0)  # no eigenvalue is larger
         known = np.isfinite(largest) & (largest > radius)

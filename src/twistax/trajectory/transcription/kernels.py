@@ -107,12 +107,11 @@ class PhaseFunctions:
         order: int,
         key: Hashable,
         numbers: Array,
-        shares: bool,
     ) -> SmoothKernels:
         """Kernels of a function whose arguments are unknowns, the numbers of a solve, and last the numbers within
         expressions.
         """
-        return SmoothKernels(function, arguments, order, key, numbers, shares)
+        return SmoothKernels(function, arguments, order, key, numbers)
 
     def kernels(self, nodes: Mapping[int, Conditions]) -> PhaseKernels:
         """All kernels, compiled."""
@@ -135,7 +134,7 @@ class PhaseFunctions:
         gap = {Argument.Z: n, Argument.BASE: size, Argument.TARGET: size}
         move = {Argument.Z: n, Argument.BASE: size}
         return PhaseKernels(
-            self._of(self._rate, of_q, [exprs.rates], ("rate", pace), shares=True),
+            self._of(self._rate, of_q, [exprs.rates], ("rate", pace)),
             rows,
             SmoothKernels(self._gap, gap, self._order, ("gap", group)),
             [
@@ -169,7 +168,6 @@ class PhaseFunctions:
         parts: Sequence[Sequence[Expr]],
         rest: Hashable,
         order: int | None = None,
-        shares: bool = False,
     ) -> SmoothKernels:
         """The kernels of one function.
 
@@ -177,7 +175,6 @@ class PhaseFunctions:
             parts: the expressions, in groups.
             rest: everything else that the function depends on, except for the layout.
             order: the order of the derivatives, if it differs from that of the problem.
-            shares: whether elementary functions are computed once for values and derivatives.
         """
         structure = Structure([expr for part in parts for expr in part], self._leaf_places.token)
         by_node, border = self._shooting.by_node, self._shooting.border
@@ -196,7 +193,7 @@ class PhaseFunctions:
 
         shapes = tuple(leaf.shape for leaf in by_node.leaves.values())
         key = (self._leaf_places.key, shapes, structure.key, tuple(map(len, parts)), rest)
-        return self.smooth(traced, arguments, self._order if order is None else order, key, structure.numbers, shares)
+        return self.smooth(traced, arguments, self._order if order is None else order, key, structure.numbers)
 
     def _add(
         self,

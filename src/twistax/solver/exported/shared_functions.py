@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-from ..scalar.primitives.entry import Select
-from ..scalar.primitives.interface import flat, nodes
-from ..scalar.primitives.operations import OPERATIONS
-from ..scalar.program import ScalarProgram
-from ..scalar.reader import JaxprReader, rebuilt
+from ...scalar.primitives.entry import Select
+from ...scalar.primitives.interface import flat, nodes
+from ...scalar.primitives.operations import OPERATIONS
+from ...scalar.program import ScalarProgram
+from ...scalar.reader import JaxprReader, rebuilt
 
 #: Operations that take longer than a load of their result.
 _ELEMENTARY = {"pow", "atan2", "cbrt", "exp", "exp2", "expm1", "log", "log1p", "logistic", "sin", "cos", "tan"} | {
@@ -19,20 +17,19 @@ _DERIVATIVES = {"sin": "cos", "cos": "sin", "sinh": "cosh", "cosh": "sinh"}
 
 
 class SharedFunctions:
-    """The elementary functions in a program.
+    """The elementary functions in a program that computes values.
 
     Args:
         program: without calls.
-        varying: arguments. A function that depends on none of them is left where it is.
 
     Attributes:
         width: how many there are.
     """
 
-    def __init__(self, program: ScalarProgram, varying: Sequence[int]) -> None:
+    def __init__(self, program: ScalarProgram) -> None:
         self._program, graph = program, program.graph
         places = dict[int, int]()
-        for node in _elementary(program, varying):
+        for node in _elementary(program, len(program.inputs)):
             places.setdefault(node, len(places))
             operation = graph.operation(node)
             if operation is not None and operation.name in _DERIVATIVES:
@@ -54,7 +51,7 @@ class SharedFunctions:
         """
         g, first, argument = program.graph, self._program, len(program.inputs)
         known = dict(zip(flat(*program.inputs[: len(first.inputs)]), flat(*first.inputs), strict=True))
-        functions = _elementary(program, range(len(first.inputs)), set(known))
+        functions = _elementary(program, len(first.inputs))
         JaxprReader(first.graph).copy(program.restricted([nodes(functions, (len(functions),))]), known)
         of_place = {self._places[known[node]]: node for node in functions if known[node] in self._places}
         entries = [of_place[k] if k in of_place else g.input(argument, k, g.dtype) for k in range(self.width)]
@@ -62,24 +59,19 @@ class SharedFunctions:
         return rebuilt(ScalarProgram(g, inputs, program.outputs, program.types), set(), True, g.limits)
 
 
-def _elementary(program: ScalarProgram, varying: Sequence[int], inputs: set[int] | None = None) -> list[int]:
-    """The elementary functions in a program that depend on some of these arguments.
+def _elementary(program: ScalarProgram, arguments: int) -> list[int]:
+    """The elementary functions in a program that depend on its first arguments only.
 
     A function that only one side of a selection needs is none of them: compilers of C compute it on that side alone.
-
-    Args:
-        inputs: the inputs on which alone they depend; None: any.
     """
-    g, varies, always = program.graph, program.depending(varying), _always_needed(program)
-    computable, result = set(inputs or ()), list[int]()
+    g, always, computable = program.graph, _always_needed(program), set(flat(*program.inputs[:arguments]))
+    result = list[int]()
     for node in program.live:
         operation = g.operation(node)
-        if inputs is not None:
-            if g.input_of(node) is not None or not computable.issuperset(g.sources(node)):
-                continue
+        if g.input_of(node) is None and computable.issuperset(g.sources(node)):
             computable.add(node)
-        if operation is not None and operation.name in _ELEMENTARY and node in varies and node in always:
-            result.append(node)
+            if operation is not None and operation.name in _ELEMENTARY and node in always:
+                result.append(node)
     return result
 
 
