@@ -265,7 +265,7 @@ def test_what_does_not_fit_is_refused() -> None:
         with pytest.raises(tx.TwistaxError, match=match):
             controller.feedback(wrong)
     for wrong, match in (
-        ({"limits": {"w": (0.0, 1.0)}}, "the piecewise constant controls are: 'u'"),
+        ({"limits": {"w": (0.0, 1.0)}}, "the controls are: 'u'"),
         ({"limits": {"u": (1.0, 0.0)}}, "low <= high"),
         ({"limits": {"u": 1.0}}, r"expects \(low, high\)"),
         ({"limits": {"u": (np.zeros(3), 1.0)}}, "expects shape"),
@@ -287,7 +287,7 @@ def test_problems_without_a_measured_start_are_refused() -> None:
     cost = tx.Minimize(running=u * u)
     for options, match in (
         ({"initial": {p: np.nan}}, "initial value of 'p' is free"),
-        ({"initial": {p: 0.0}, "controls": tx.trajectory.Linear()}, "cannot be measured: u"),
+        ({"initial": {p: 0.0, u: 0.0}, "controls": tx.trajectory.Linear()}, "initial value of the control 'u'"),
         ({"initial": {p: 0.0}, "hessian": tx.trajectory.QuasiNewton()}, "QuasiNewton"),
     ):
         with pytest.raises(tx.TrajectoryError, match=match):

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from test_controller import full, pointing, regulator
+from test_controllers_with_phases import smooth, tumbling
 
 import twistax as tx
 from twistax.trajectory import Problem
@@ -121,10 +122,11 @@ def test_functions_without_a_form_in_scalars_are_refused(tmp_path: Path) -> None
         problem.to_c(tmp_path)
 
 
-@pytest.mark.parametrize("problem", [regulator, pointing])
+@pytest.mark.parametrize("problem", [regulator, pointing, smooth, tumbling])
 def test_gains_are_those_of_python(problem: Any, tmp_path: Path) -> None:
     controller = full(problem())
-    x = {name: values[1] for name, values in controller.xs.items()}
+    nodes = controller.phases[0].xs
+    x = {name: values[1] for name, values in nodes.items()}
     files = controller.to_c(tmp_path, name="loop")
     target = tmp_path / "loop.so"
     built(["-O0", "-shared", "-fPIC", str(files.source), "-lm", "-o", str(target)])
@@ -132,14 +134,14 @@ def test_gains_are_those_of_python(problem: Any, tmp_path: Path) -> None:
     of_solve, of_gains = (np.zeros(int(n) // 8) for n in re.findall(r"(\d+) bytes", header))
     pointers = lambda *arrays: [ctypes.c_void_p(a.ctypes.data) for a in arrays]  # noqa: E731
     library.loop_init(*pointers(of_solve))
-    states, u = [np.ascontiguousarray(a, float) for a in x.values()], np.zeros(controller.us["u"][0].size)
+    states, u = [np.ascontiguousarray(a, float) for a in x.values()], np.zeros(controller.phases[0].us["u"][0].size)
     assert library.loop_feedback(*pointers(of_solve, *states, u), None, None, None) == 0
     controller.feedback(x)
     expected = controller.gains["u"]
     gains = np.zeros(expected.shape)
     assert library.loop_gains(*pointers(of_solve, of_gains, gains)) == 0
     np.testing.assert_allclose(gains, expected, rtol=1e-8, atol=1e-8)
-    newer = {name: values[2] for name, values in controller.xs.items()}
+    newer = {name: values[2] for name, values in nodes.items()}
     states = [np.ascontiguousarray(a, float) for a in newer.values()]
     assert library.loop_correct(*pointers(of_solve, *states, gains, u)) == 0
     np.testing.assert_allclose(u, np.ravel(controller.correct(newer)["u"]), atol=1e-8)

@@ -216,11 +216,11 @@ class Transcription:
         """The arrays that structures point to, by address."""
         return {array.ctypes.data: array for array in self._memory if isinstance(array, np.ndarray)}
 
-    def phase_doubles(self, window: int) -> tuple[int, int]:
-        """Doubles of the memory of the first phase, for functions and for derivatives, where so many intervals are
-        evaluated together.
+    def phase_doubles(self, phase: int, window: int) -> tuple[int, int]:
+        """Doubles of the memory of a phase, for functions and for derivatives, where so many intervals are evaluated
+        together.
         """
-        structure = PhaseStructure.from_buffer_copy(self._structures[0])
+        structure = PhaseStructure.from_buffer_copy(self._structures[phase])
         structure.window = window
         return _doubles(structure)
 

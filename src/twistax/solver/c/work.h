@@ -72,8 +72,8 @@ static inline double twx_above(const twx_work *w, const double *v, size_t i) {
 #define FOR_STAGES(w, k, stage) \
   for (int32_t k = 0; k <= (w)->N; k++) \
     for (const twx_stage *stage = (w)->stages + k; stage; stage = NULL)
-/* f(w, k, stage, ...). Where a program solves one problem alone, whose stages but the last have the same sizes, these are
- * constants in a copy of the stage, and loops over them are unrolled. */
+/* f(w, k, stage, ...). Where a program solves one problem alone, whose stages but the last and joins have the same sizes,
+ * these are constants in a copy of the stage, and loops over them are unrolled. */
 #ifdef TWX_STATES
 static inline twx_stage twx_sized(const twx_stage *s) {
   twx_stage sized = *s;
@@ -84,7 +84,7 @@ static inline twx_stage twx_sized(const twx_stage *s) {
   return sized;
 }
 #define TWX_AT(w, k, f, ...) \
-  ((k) < (w)->N ? f(w, k, (const twx_stage[1]){twx_sized((w)->stages + (k))}, __VA_ARGS__) : f(w, k, (w)->stages + (k), __VA_ARGS__))
+  ((k) < (w)->N && (w)->stages[k].nu == TWX_CONTROLS ? f(w, k, (const twx_stage[1]){twx_sized((w)->stages + (k))}, __VA_ARGS__) : f(w, k, (w)->stages + (k), __VA_ARGS__))
 #define NP_OF(w) ((void)(w), TWX_PARAMETERS)
 #define NB_OF(w) (TWX_EQUALITIES ? (w)->nb : TWX_PARAMETERS)
 #else

@@ -30,12 +30,12 @@ class KernelCode:
 
     Attributes:
         functions: their text, in the order in which they were asked for.
-        operations: of a row of each, by its name.
+        operations: of a row of each kernel, by its number and name. Kernels with the same code share a function.
     """
 
     def __init__(self) -> None:
         self.functions, self.operations = list[str](), dict[str, int]()
-        self._tables = dict[Table, None]()
+        self._tables, self._functions = dict[Table, None](), dict[str, str]()
 
     def structure(self, kernel: BatchKernel | None, what: str) -> str:
         """The initialiser of a `twx_kernel`.
@@ -70,7 +70,9 @@ class KernelCode:
         program, arguments, values = form
         name = f"kernel_{len(self.operations)}_{what}"
         used, text = _function(name, program)
-        self.functions.append(text)
+        function = self._functions.setdefault(text.replace(name, ""), name)
+        if function == name:
+            self.functions.append(text)
         self.operations[name] = program.operations
         self._tables |= dict.fromkeys(program.tables)
         constants = "NULL"
@@ -78,7 +80,7 @@ class KernelCode:
             constants = f"{name}_numbers"
             self.functions.append(numbers(constants, values, _REAL))
         places = ", ".join(str(int(arguments[k])) for k in used)
-        return f"{{{name}, {len(used)}, {{{places or 0}}}, {constants}}}"
+        return f"{{{function}, {len(used)}, {{{places or 0}}}, {constants}}}"
 
     @property
     def text(self) -> str:

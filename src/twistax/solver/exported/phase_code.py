@@ -1,8 +1,9 @@
-"""A transcribed phase as constants of C99: a `twx_phase` with its arrays and kernels."""
+"""Transcribed phases as constants of C99: each a `twx_phase` with its arrays and kernels."""
 
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,8 @@ import numpy as np
 from ...scalar.targets.c import c_type
 from ..kernels import SmoothKernels
 from ..sources import constant
-from ..structures import NodeStructure
-from ..transcription import Transcription
+from ..structures import JoinStructure, NodeStructure
+from ..transcription import NONE, CorePhase, Transcription
 from .kernel_code import NO_KERNEL, KernelCode, array
 
 #: Arrays that a controller has in its own memory.
@@ -25,33 +26,77 @@ _ORDERS = ("value", "slopes", "bends")
 
 
 class PhaseCode:
-    """The constants of a problem of one phase.
+    """The constants of the phases of a problem.
 
     Args:
-        window: intervals that are evaluated together.
+        windows: of each phase, intervals that are evaluated together.
 
     Attributes:
         kernels: the functions.
-        text: of the constants; the phase is called `phase_0`.
+        text: of the constants; the array of phases is called `phases`.
     """
 
-    def __init__(self, transcription: Transcription, window: int) -> None:
+    def __init__(self, transcription: Transcription, windows: Sequence[int]) -> None:
         self.kernels = KernelCode()
         self._arrays, self._texts = transcription.arrays, list[str]()
-        self._names = dict[int, str]()
-        (phase,), (structure,) = transcription.phases, transcription.described
-        fields = [self._field(structure, name) for name, _ in type(structure)._fields_ if name not in _OWN_MEMORY]
+        self._names, self._phases = dict[int, str](), transcription.phases
+        bodies, self._operations = list[str](), list[dict[str, int]]()
+        for k, window in enumerate(windows):
+            before = len(self.kernels.operations)
+            bodies.append(self._body(k, transcription.described[k], window))
+            self._operations.append(dict(list(self.kernels.operations.items())[before:]))
+        self._texts.append("static const twx_phase phases[] = {\n" + ",\n".join(bodies) + "\n};\n")
+
+    def _body(self, number: int, structure: Any, window: int) -> str:
+        """The initialiser of a phase, after what it points to."""
+        phase = self._phases[number]
         kernels = phase.kernels
+        fields = [self._field(structure, name) for name, _ in type(structure)._fields_ if name not in _OWN_MEMORY]
         fields.append(f".rate = {self._rate(kernels.rate)}")
         fields += [f".{name} = {self._smooth(getattr(kernels, name), name)}" for name in ("rows", "gap")]
         fields += [f".{name} = {self.kernels.structure(getattr(kernels, name), name)}" for name in ("retract", "turn")]
         places = {name: self._pointer(getattr(structure.at, name)) for name, _ in structure.at._fields_}
         offsets = ", ".join(f".{name} = {place}" for name, place in places.items())
-        fields += [f".at = {{{offsets}}}", ".node = nodes_0", f".node_width = {structure.node_width}"]
+        fields += [f".at = {{{offsets}}}", f".node = nodes_{number}", f".node_width = {structure.node_width}"]
         fields.append(f".window = {window}")
-        nodes = self._nodes(structure, [function for _, function in kernels.nodes])
-        body = ",\n    ".join(field for field in fields if field)
-        self._texts += [nodes, f"static const twx_phase phase_0 = {{\n    {body}\n}};\n"]
+        self._texts.append(self._nodes(number, structure, [function for _, function in kernels.nodes]))
+        if phase.join is not None:
+            turn = self.kernels.structure(self._phases[number + 1].kernels.turn, "turn")
+            free = self._pointer(JoinStructure.from_address(structure.join).free)
+            gap = self._smooth(phase.join.gap, "join")
+            self._texts.append(
+                f"static const twx_join join_{number} = {{{gap}, {turn}, {len(phase.join.free)}, {free}}};\n"
+            )
+            fields.append(f".join = &join_{number}")
+        return "  {" + ",\n    ".join(field for field in fields if field) + "}"
+
+    def work(self, parameters: int) -> dict[str, int]:
+        """The number of scalar operations of an iteration: those of the kernels, and those of matrix products from
+        their sizes.
+        """
+        counts = [self._work_of(*of_phase, parameters) for of_phase in zip(self._phases, self._operations)]
+        return {name: sum(count[name] for count in counts) for name in counts[0]}
+
+    @staticmethod
+    def _work_of(phase: CorePhase, operations: Mapping[str, int], p: int) -> dict[str, int]:
+        method, K = phase.method, phase.intervals
+        stages, evaluated = method.substeps * len(method.b), method.weights != 0
+        evaluated[: method.substeps + 1] |= (phase.path != NONE).any(axis=(0, 2))
+        points = int(np.count_nonzero(evaluated))
+
+        def rows(name: str) -> int:
+            at_once = 1 if "_node" in name or "_join" in name else K
+            return at_once * (stages if "_rate" in name else points if "_rows" in name else 1)
+
+        of_kernels = {name: count * rows(name) for name, count in operations.items()}
+        values = sum(count for name, count in of_kernels.items() if not name.endswith(("slopes", "bends")))
+        n, m = phase.n, phase.m
+        size = n + m + p
+        products = K * stages * (4 * n * n * size + 4 * size * size * n)
+        riccati = (K + 1) * (2 * n * n * size + 2 * n * size * size + m**3 + 2 * m * size * size)
+        every = [phase.path, *phase.conditions]
+        riccati += 2 * size * size * sum(int((kinds != NONE).sum()) for kinds in every)
+        return {"functions": sum(of_kernels.values()) + products, "trial": values, "riccati": riccati}
 
     @property
     def text(self) -> str:
@@ -86,13 +131,13 @@ class PhaseCode:
         parts += [NO_KERNEL] * (len(_ORDERS) + 1 - len(parts))
         return "{" + ", ".join([*parts, str(smooth.rows), "0"]) + "}"
 
-    def _nodes(self, structure: ctypes.Structure, functions: list[SmoothKernels]) -> str:
+    def _nodes(self, number: int, structure: ctypes.Structure, functions: list[SmoothKernels]) -> str:
         rows = []
         for k, function in enumerate(functions):
             node = self._node_of(structure, k)
             place, margins = (self._pointer(getattr(node, name)) for name in ("place", "margins"))
             rows.append(f"    {{{self._smooth(function, f'node_{k}')}, {node.stage}, {place}, {margins}}}")
-        return "static const twx_node nodes_0[] = {\n" + ",\n".join(rows) + "\n};\n"
+        return f"static const twx_node nodes_{number}[] = {{\n" + ",\n".join(rows) + "\n};\n"
 
     @staticmethod
     def _node_of(structure: ctypes.Structure, k: int) -> ctypes.Structure:

@@ -11,25 +11,26 @@ from typing import Any
 import numpy as np
 from numpy import ndarray as Array
 
-from ...checks import listed, number, reals, short, whole
-from ...errors import InputError, ShapeError, TrajectoryError
+from ...checks import number, whole
+from ...errors import TrajectoryError
 from ...jax_inside import in_double
 from ...solver.core import CoreStatus, Units
 from ...solver.options import Options
 from ...solver.prepared import LOST, PreparedSolve
-from ...system import name_of
 from ...system.export import CFiles
+from ..result.trajectory import Trajectory, trajectory_at
 from ..strategy.measure import COST
 from ..strategy.status import Status
 from ..strategy.warm import warm_start, with_ends
-from .barrier import BARRIER_LEAST, BARRIER_MOST, BARRIER_SHARE
 from .export import MEMORY, write_controller
 from .first_node import FirstNode
 from .gains import Gains
 from .in_programs import in_order
 from .log import ControllerLog, StepRecord
-from .plan_units import PlanUnits
-from .requirements import need_controllable, need_shiftable
+from .plan_controls import FirstControls, plan_controls
+from .plan_units import BARRIER_LEAST, BARRIER_MOST, BARRIER_SHARE, PlanUnits
+from .prepared_data import PreparedData
+from .requirements import need_controllable, why_not_shiftable
 from .shift import Shift
 
 Values = dict[str, Array]
@@ -49,12 +50,18 @@ class Controller:
     the last call. With `max_iterations=2` this is a real-time iteration: the plan converges while the system moves.
     With `max_iterations=100` it is a full solve, which ends early after `max_seconds`.
 
+    For a problem of several phases the measured state is that of the first node of the first phase, and `phases` has
+    the plan of each phase. Such a plan is not shifted: each call starts from the last plan as it is. The first phase
+    becomes shorter while time passes: leave its duration free, or set what remains by `prepare(final_time=...)`.
+
+    A continuous control is applied as its value at the first node, which the solver chooses anew in each call.
+
     A controller has its own memory, so different controllers may run in different threads; the solve itself does not
     hold Python's lock. One controller serves one thread at a time. In `jax.jit` and `jax.lax.scan` the calls are host
     callbacks in the order of the program, without derivatives.
 
     Args:
-        problem: of one phase, with piecewise constant controls and a fixed initial state.
+        problem: with a fixed initial state, in the first phase if there are several.
         warm: a result of this problem as the first plan; by default the problem is solved for it. It determines the
             solver's units. They are measured again, which takes some milliseconds, if a measured state differs from the
             plan by more than ten units.
@@ -69,11 +76,10 @@ class Controller:
     Attributes:
         log: a `ControllerLog` of the last calls.
         status: the `Status` of the last solve; SOLVED means that the first-order conditions hold on the mesh.
-        params: values of the parameters by name, for the next solve.
 
     Raises:
-        TrajectoryError: a problem of phases, with continuous controls or with functionals of the path; a free initial
-            state; invalid numbers.
+        TrajectoryError: functionals of the path; a free initial state; a fixed initial value of a continuous control;
+            invalid numbers.
 
     Source: Diehl, Bock, Schloeder, A real-time iteration scheme for nonlinear optimization in optimal feedback control,
     SIAM J. Control Optim. 43 (2005).
@@ -98,7 +104,7 @@ class Controller:
             number("max_seconds", max_seconds, "above zero", lambda size: size > 0.0, TrajectoryError)
         need_controllable(problem)
         self.problem, self._seconds = problem, max_seconds
-        (self.part,) = problem.parts
+        self.part = problem.parts[0]
         with in_double():
             start = warm_start(problem.solve() if warm is None else warm)
             _, instance, _, ends = problem.started(begin=start.point)
@@ -113,12 +119,12 @@ class Controller:
             self.prepared = PreparedSolve(
                 staged.transcription, self.units, solver.largest_step, bounds, Options(**options)
             )
-            self._node = FirstNode(staged, self.part.dynamics)
             self._load(start)
-        self.params, self.numbers = dict(instance.params), np.array(staged.numbers.vector(instance))
-        staged.transcription.set_data(self.numbers)
-        self.moves_on, self._gains = Shift(staged), Gains(self.prepared, staged, self.units)
-        self._place_controls()
+        by_phase = [plan_controls(staged, k, part) for k, part in enumerate(problem.parts)]
+        self.first_node, self.first_controls = FirstNode(staged, self.part.phase.dynamics), FirstControls(by_phase[0])
+        self.data = PreparedData(problem, staged, self.prepared, by_phase, instance)
+        self.moves_on = None if why_not_shiftable(problem) else Shift(staged, self.part.continuous.rates)
+        self._gains = Gains(self.prepared, staged, self.units)
         self.log, self.status = ControllerLog(log), Status.STOPPED
 
     def _load(self, start: Any) -> None:
@@ -129,18 +135,10 @@ class Controller:
         solve.lam[:] = staged.unpadded(start.dynamics)
         solve.y[:], solve.ye[:], solve.zl[:], solve.zu[:] = staged.split_rows(np.asarray(start.rows))
         solve.s[:] = 0.0  # the residuals of its rows
-        first = {name: np.asarray(values)[0] for name, values in start.point.xs.items()}
-        solve.z[: self._node.size] = staged.parts[0].point.joined(first)
-
-    def _place_controls(self) -> None:
-        """Find the positions of piecewise constant controls in a stage."""
-        self.controls, user = {}, {control.name for control in self.part.phase.dynamics.controls}
-        for control in self.part.dynamics.controls:
-            if control.name in user:
-                self.controls[control.name] = (self.part.shooting.local.controls.slices[control.name], control.shape)
 
     def __repr__(self) -> str:
-        return f"Controller({self.part.nodes} nodes, {self.log!r})"
+        nodes = sum(part.nodes for part in self.problem.parts)
+        return f"Controller({nodes} nodes, {self.log!r})"
 
     # ---- prepare, feedback, shift -----------------------------------------------------------------------------------
 
@@ -150,6 +148,7 @@ class Controller:
         params: Mapping[Any, Any] | None = None,
         *,
         final: Mapping[Any, Any] | None = None,
+        final_time: Any = None,
         limits: Mapping[Any, Any] | None = None,
     ) -> None:
         """Set data that are known before the state is measured. They remain in use until the next change.
@@ -158,89 +157,45 @@ class Controller:
             params: values of parameters by leaf or name, including references and weights. Parameters in `by_node` have
                 a row for each node, or one row for all.
             final: values of states at the end, if the problem fixes them.
-            limits: (low, high) of piecewise constant controls, by leaf or name, in their unit; numbers, arrays of a
-                control's shape,
-                or arrays (intervals, *shape).
+            final_time: the final time in s, or its limits (low, high) if it is free.
+            limits: (low, high) of controls, by leaf or name, in their unit; numbers, arrays of a control's shape, or
+                arrays (intervals, *shape), (nodes, *shape) for continuous controls.
+
+        For a problem of phases final, final_time and limits are dicts from names of phases to the values described
+        here; final_time sets the duration of a phase.
+
         Raises:
             InputError, ShapeError, ModelError, TrajectoryError: unknown names, other shapes, numbers that are not
                 finite, low above high.
         """
-        if params is not None or final is not None:
+        if not params is final is final_time is None:
             with in_double():
-                self._set_numbers(params or {}, final)
-        for key, sides in (limits or {}).items():
-            self._limit(name_of(key), sides)
+                self.data.set_numbers(params, final, final_time)
+        if limits is not None:
+            self.data.set_limits(limits)
 
-    def _set_numbers(self, params: Mapping[Any, Any], final: Mapping[Any, Any] | None) -> None:
-        if not isinstance(params, Mapping):
-            raise InputError(f"prepare: params must be a dict from parameters to values, got {short(params)}")
-        numbers, by_node = self.staged.numbers, self.part.by_node
-        rows = False
-        for key, value in params.items():
-            name = name_of(key)
-            if name not in self.params:
-                raise InputError(f"unknown key {name!r} in params; expected: {listed(self.params, name)}")
-            if name in by_node.leaves:
-                self.params[name], rows = by_node.values(name, value), True
-                continue
-            array = reals(f"params[{name!r}]", value, InputError)
-            if array.shape != np.shape(self.params[name]):
-                raise ShapeError(f"params[{name!r}] expects shape {np.shape(self.params[name])}, got {array.shape}")
-            if not np.isfinite(array).all():
-                raise InputError(f"params[{name!r}] expects finite numbers, got {short(array)}")
-            self.params[name] = array
-            self.numbers[numbers.places([name], [])] = array.ravel()
-        self.part.check_weights(self.params)
-        if rows:
-            begin, _ = numbers.node_rows(0)
-            self.numbers[begin:] = by_node.rows(self.params).ravel()
-        if final is not None:
-            ends = self.part.other_ends(None, final)
-            for name, value in self.part.filled(ends.final).items():
-                self.numbers[numbers.places([], [name])] = np.ravel(value)
-        self.staged.transcription.set_data(self.numbers)
-
-    def _limit(self, name: str, sides: Any) -> None:
-        if name not in self.controls:
-            raise InputError(
-                f"limits names {name!r}; the piecewise constant controls are: {listed(self.controls, name)}"
-            )
-        columns, shape = self.controls[name]
-        if not isinstance(sides, (tuple, list)) or len(sides) != 2:
-            raise InputError(f"limits[{name!r}] expects (low, high), got {short(sides)}")
-        intervals = self.part.nodes - 1
-        low, high = (reals(f"limits[{name!r}]", side, InputError) for side in sides)
-        for side in (low, high):
-            if side.shape not in ((), shape, (intervals, *shape)):
-                raise ShapeError(f"limits[{name!r}] expects shape {shape} or {(intervals, *shape)}, got {side.shape}")
-        if not (low <= high).all():
-            raise InputError(f"limits[{name!r}] expects low <= high, got {short(low)} and {short(high)}")
-        first, n = self.staged.transcription.stages.first, self._node.n
-        places = first[:-1, None] + n + np.arange(columns.start, columns.stop)
-        for bound, side in ((self.prepared.lower, low), (self.prepared.upper, high)):
-            bound[places] = np.broadcast_to(side, (intervals, *shape)).reshape(intervals, -1)
-
-    @in_order(lambda self: self._shapes(), lambda self, x: self._node.named(x))
+    @in_order(lambda self: _shapes(self), lambda self, x: self.first_node.named(x))
     def feedback(self, x: Mapping[Any, Any]) -> Values:
         """The controls for a measured state: a few iterations of the solver from the last plan.
 
         Args:
             x: the state by leaf or name; every state of the system is required.
         Returns:
-            the controls of the first interval, by name. After a failed solve they are those of the previous plan:
-            check `status`. After a timeout they are those of the iterate with the smallest error.
+            the controls of the first interval, by name; of a continuous control the value at the first node. After a
+            failed solve they are those of the previous plan: check `status`. After a timeout they are those of the
+            iterate with the smallest error.
         Raises:
             InputError, ShapeError: a state is missing, has another shape or numbers that are not finite, or is not an
                 element of its group.
         """
         begin = time.perf_counter()
-        solve, options, before = self.prepared, self.prepared.options, self._node.point(self.prepared)
+        solve, options, before = self.prepared, self.prepared.options, self.first_node.point(self.prepared)
         barrier = min(max(BARRIER_SHARE * self._measured(x), BARRIER_LEAST), BARRIER_MOST)
         options.barrier_start = barrier
         options.slack_push = options.bound_push = min(barrier**0.5, 1e-2)
         ended = solve(None if self._seconds is None else self._seconds - (time.perf_counter() - begin))
         if ended in LOST:  # the plan before this call
-            self._node.write(solve, before)
+            self.first_node.write(solve, before)
         self.status = _STATUS.get(ended, Status.STALLED)
         measure = solve.measure
         record = StepRecord(
@@ -258,19 +213,22 @@ class Controller:
     def shift(self) -> None:
         """Shift the plan by one interval: its second node is the first one of the next solve.
 
-        The last control stays constant for one more interval, and the last state is integrated with it.
+        The last control stays constant for one more interval, and the last state is integrated with it. A continuous
+        control continues with its last value and derivatives, but its last derivative, which is piecewise constant, is
+        zero.
 
         Raises:
-            TrajectoryError: interval lengths differ.
+            TrajectoryError: the problem has several phases; interval lengths differ.
         """
-        need_shiftable(self.problem)
+        if self.moves_on is None:
+            raise TrajectoryError(f"shift: {why_not_shiftable(self.problem)}")
         if self._plan_units.are_new:
             self._measure_units()
         self.moves_on(self.prepared)
 
     def _measured(self, x: Mapping[Any, Any]) -> float:
         """Write the measured state into the first node; return its largest move, in units of the states."""
-        solve, node, units = self.prepared, self._node, self._plan_units
+        solve, node, units = self.prepared, self.first_node, self._plan_units
         base = node.read(x)
         difference = node.difference(solve, base)
         node.write(solve, base)
@@ -291,17 +249,13 @@ class Controller:
         """The units that the solver uses."""
         return self._plan_units.units
 
-    def _shapes(self, *more: int) -> dict[str, tuple[int, ...]]:
-        return {name: (*shape, *more) for name, (_, shape) in self.controls.items()}
-
     def _first_controls(self) -> Values:
-        here = self.prepared.z[self._node.size :]
-        return {name: here[columns].reshape(shape).copy() for name, (columns, shape) in self.controls.items()}
+        return self.first_controls.named(self.prepared.z[self.first_controls.points])
 
     # ---- between two solves -----------------------------------------------------------------------------------------
 
     @property
-    @in_order(lambda self: self._shapes(self._node.n))
+    @in_order(lambda self: _shapes(self, self.first_node.n))
     def gains(self) -> Values:
         """Derivatives of the first controls with respect to the measured state: control name -> (*shape, n).
 
@@ -313,11 +267,10 @@ class Controller:
         Raises:
             TrajectoryError: the plan is not a strict minimum.
         """
-        n = self._node.n
-        columns = self._gains(n)
-        return {name: columns[part].reshape(*shape, n) for name, (part, shape) in self.controls.items()}
+        n = self.first_node.n
+        return self.first_controls.named(self._gains(n, self.first_controls.columns), n)
 
-    @in_order(lambda self: self._shapes(), lambda self, x: self._node.named(x))
+    @in_order(lambda self: _shapes(self), lambda self, x: self.first_node.named(x))
     def correct(self, x: Mapping[Any, Any]) -> Values:
         """The first controls, corrected for a newer state by the gains; use it between two solves.
 
@@ -329,27 +282,48 @@ class Controller:
             InputError, ShapeError: as `feedback` does.
             TrajectoryError: the plan is not a strict minimum.
         """
-        solve, node = self.prepared, self._node
-        moved = self._gains(node.n) @ node.difference(solve, node.read(x))
-        here = slice(node.n, node.n + len(moved))
-        flat = np.clip(solve.z[node.size :][: len(moved)] + moved, solve.lower[here], solve.upper[here])
-        return {name: flat[columns].reshape(shape) for name, (columns, shape) in self.controls.items()}
+        solve, node = self.prepared, self.first_node
+        points, columns = self.first_controls.points, self.first_controls.columns
+        moved = self._gains(node.n, columns) @ node.difference(solve, node.read(x))
+        return self.first_controls.named(np.clip(solve.z[points] + moved, solve.lower[columns], solve.upper[columns]))
+
+    # ---- the plan ---------------------------------------------------------------------------------------------------
+
+    @property
+    def phases(self) -> tuple[Trajectory, ...]:
+        """The plan of each phase; times start at 0 now, and continue from phase to phase."""
+        point, segments = self.staged.point(self.prepared.z.copy()), self.staged.transcribed.segments
+        plans = (trajectory_at(p, s.of(point), self.params) for p, s in zip(self.problem.parts, segments))
+        return tuple(Trajectory(**plan) for plan in plans)
+
+    @property
+    def _plan(self) -> Trajectory:
+        if not self.problem.alone:
+            raise TrajectoryError(
+                "the plan of a problem of several phases has states, controls and times by phase.\n"
+                "  fix: controller.phases[0].xs"
+            )
+        return self.phases[0]
 
     @property
     def xs(self) -> Values:
         """The states of the plan, by name, (nodes, ...)."""
-        return dict(self.staged.point(self.prepared.z).xs)
+        return self._plan.xs
 
     @property
     def us(self) -> Values:
-        """The controls of the plan, by name, (intervals, ...)."""
-        us = self.staged.point(self.prepared.z).us
-        return {name: us[:, part].reshape(len(us), *shape) for name, (part, shape) in self.controls.items()}
+        """The controls of the plan, by name, (intervals, ...), or (nodes, ...) for continuous ones."""
+        return self._plan.us
 
     @property
     def ts(self) -> Array:
         """The times of the nodes, (nodes,), s, from now."""
-        return np.asarray(self.part.mesh.shares * self.staged.point(self.prepared.z).border[0])
+        return self._plan.ts
+
+    @property
+    def params(self) -> Values:
+        """Values of the parameters by name, for the next solve."""
+        return self.data.params
 
     # ---- C code -----------------------------------------------------------------------------------------------------
 
@@ -393,6 +367,10 @@ class Controller:
         A controller does not test for a minimum: `excess` is NaN, and `minimum` is 0 even at a minimum.
         """
         return self.prepared.measures
+
+
+def _shapes(controller: Controller, *more: int) -> dict[str, tuple[int, ...]]:
+    return {name: (*shape, *more) for name, shape in controller.first_controls.shapes.items()}
 
 
 #: The `Status` for each exit status of the core.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -16,15 +15,15 @@ from ...checks import number, path_of, whole
 from ...progress import watching
 from ...scalar.targets.c import c_type
 from ...solver.exported.kernel_code import array
-from ...solver.exported.phase_code import LANES, PhaseCode
-from ...solver.sources import constant, controller_core
-from ...solver.transcription import NONE
+from ...solver.exported.phase_code import PhaseCode
+from ...solver.sources import controller_core
 from ...system.export import CFiles
 from ...system.export.c99 import check_name, write_files
 from ...system.export.c_code import mark
 from ..strategy.measure import COST
-from .barrier import BARRIER_LEAST, BARRIER_MOST, BARRIER_SHARE
 from .gains import GAINS_CURVATURE, GAINS_LEAST
+from .memory import ControllerMemory
+from .plan_units import BARRIER_LEAST, BARRIER_MOST, BARRIER_SHARE
 from .rehearsal import drawn_states, rehearsed
 
 _REAL = c_type(np.dtype(float))
@@ -37,13 +36,16 @@ class ControllerCode:
     """The C code of a controller with its present plan."""
 
     def __init__(self, controller: Any, name: str, memory: int) -> None:
-        self._controller, self._name, self._memory = controller, name, memory
+        self._controller, self._name = controller, name
         self._solve, self._staged = controller.prepared, controller.staged
-        self._stages = self._staged.transcription.stages
-        self._phase = PhaseCode(self._staged.transcription, self._window)
-        part = self._staged.parts[0]
-        self._states = [(state.name, part.point.places(state.name)) for state in controller.part.dynamics.states]
-        self._controls = controller.controls
+        self._transcription = self._staged.transcription
+        self._stages = self._transcription.stages
+        self._memory = ControllerMemory(self._solve, self._transcription, len(controller.data.numbers), memory)
+        self._phases = PhaseCode(self._transcription, self._memory.windows)
+        self._node, self._controls = controller.first_node, controller.first_controls
+        point = self._staged.parts[0].point
+        states = controller.part.phase.dynamics.states
+        self._states = [(state.name, point.places(state.name)) for state in states]
         self._params = self._parameters()
 
     def files(self, folder: Path, x: Sequence[Mapping[str, Any]], tolerance: float) -> tuple[CFiles, dict[Path, str]]:
@@ -60,91 +62,60 @@ class ControllerCode:
         text = Path(__file__).with_name(template).read_text()
         return Template(text).substitute(mark=mark(), name=self._name, **parts)
 
-    # ---- sizes ------------------------------------------------------------------------------------------------------
-
-    @property
-    def _sizes(self) -> dict[str, int]:
-        solve, stages = self._solve, self._stages
-        sizes = {"points": solve.z, "variables": solve.v, "rows": solve.s, "defects": solve.lam, "equalities": solve.ye}
-        counts = {name: max(1, len(values)) for name, values in sizes.items()}
-        counts["parameters"] = stages.parameters
-        return counts
-
-    def _counts(self, window: int) -> dict[str, int]:
-        sizes, transcription = self._sizes, self._staged.transcription
-        work, scratch = transcription.phase_doubles(window)
-        of_step = sizes["points"] + sizes["variables"] + sizes["rows"] + sizes["defects"] + sizes["equalities"]
-        return {
-            "data": max(1, len(self._controller.numbers)),
-            "slopes": max(1, transcription.cost_slopes[0].size),
-            "phase_work": work,
-            "workspace": max(self._workspace(scratch), of_step),
-        }
-
-    @functools.cached_property
-    def _window(self) -> int:
-        """The number of intervals that are evaluated together: all if the memory suffices, which is faster; else as
-        many as fit into the memory of the linear system.
-        """
-        window, phase = LANES, self._staged.transcription
-        intervals = phase.phases[0].intervals
-        if 8 * self._doubles(intervals) <= self._memory:
-            return int(intervals)
-        while window < intervals:
-            scratch = phase.phase_doubles(window + LANES)[1]
-            if self._workspace(scratch) > self._workspace(0):
-                break
-            window += LANES
-        return window
-
-    def _doubles(self, window: int) -> int:
-        """The number of doubles that a controller needs."""
-        per_name = {"points": 1, "variables": 5, "rows": 2, "defects": 1, "equalities": 1, "parameters": 0}
-        of_sizes = sum(per_name[name] * count for name, count in self._sizes.items())
-        return of_sizes + sum(self._counts(window).values())
-
-    def _workspace(self, scratch: int) -> int:
-        return self._solve.workspace_doubles(**self._layout, scratch=scratch)
-
-    @property
-    def _layout(self) -> dict[str, int]:
-        """Properties of the core's memory layout besides sizes: with few iterations it needs neither a filter nor a
-        watchdog.
-        """
-        options = self._solve.options
-        rows, trigger = int(options.iterations) + 1, options.watchdog_trigger
-        return {
-            "filter_rows": min(rows, constant("work.h", "TWX_FILTER_ROWS")),
-            "without_watchdog": int(not 0 < trigger < options.iterations),
-        }
+    # ---- header file -------------------------------------------------------------------------------------------------
 
     def _header(self) -> dict[str, Any]:
-        sizes = self._sizes
-        sizes.pop("parameters")
+        sizes = self._memory.sizes
         listed = lambda pairs: ", ".join(f"{name} {shape}" for name, shape in pairs) or "none"  # noqa: E731
-        dynamics = self._controller.part.dynamics
+        dynamics = self._controller.part.phase.dynamics
         options = self._solve.options
         return {
             **sizes,
-            **self._counts(self._window),
+            **self._memory.counts,
             "states": listed((state.name, state.shape) for state in dynamics.states),
-            "controls": listed((name, shape) for name, (_, shape) in self._controls.items()),
+            "controls": listed(self._controls.shapes.items()),
             "parameters": listed((name, np.shape(values)) for name, (values, _) in self._params.items()),
-            "bytes": 8 * self._doubles(self._window),
+            "layout": self._layouts(),
+            "bytes": 8 * self._memory.doubles,
             "library": "log, log10, pow, sqrt, and those that the problem's functions call",
             "iterations": int(options.iterations),
             "restoration": int(options.restoration_iterations),
-            **self._work(),
+            **self._phases.work(self._stages.parameters),
             "prepare_arguments": "".join(f", const double *{_c(f'p_{name}')}" for name in self._params),
             **self._arguments,
             "state_tangents": self._tangents,
             "side": self._side,
             "gains_bytes": 8 * (sizes["variables"] + sizes["rows"] + self._tangents * self._side),
+            **self._shift_texts(),
         }
+
+    def _layouts(self) -> str:
+        """Where the plan of each phase stands in z."""
+        problem, first, lines = self._controller.problem, self._stages.first_point, list[str]()
+        for k, (name, phase) in enumerate(zip(problem.names, problem.parts)):
+            part = self._staged.parts[k]
+            stride = part.point.size + part.shooting.m
+            states = [f"{n} {part.point.places(n)[0]}" for n, shape in part.point.shapes.items() if 0 not in shape]
+            controls = [f"{n} {c.start + part.point.size}" for n, c in part.shooting.local.controls.slices.items()]
+            place = f"{phase.nodes} nodes from z[{first[part.stages.start]}] on, {stride} entries each"
+            lines.append(f" *   {'' if problem.alone else f'{name}: '}{place}: {', '.join([*states, *controls])}")
+        return "\n".join([*lines, *self._durations()])
+
+    def _durations(self) -> list[str]:
+        """Where free durations stand in z."""
+        names, after = self._staged.border.names, len(self._solve.z) - len(self._solve.v)
+        return [f" *   {names[k]}: z[{v + after}]" for k, v in enumerate(self._duration_columns()) if v >= 0]
+
+    def _duration_columns(self) -> Array:
+        """The index in v of the duration of each phase, -1 for a fixed one."""
+        border = self._staged.border
+        columns = len(self._solve.v) - border.unknowns + np.cumsum(border.unknown) - 1
+        return np.where(border.unknown, columns, -1)[: border.phases].astype(np.int32)
 
     @property
     def _tangents(self) -> int:
-        return int(self._staged.transcription.phases[0].n)
+        """The number of tangents of the measured states."""
+        return int(self._node.n)
 
     @property
     def _side(self) -> int:
@@ -157,40 +128,35 @@ class ControllerCode:
         """Arguments of a C function, each preceded by a comma."""
         return {
             "state_arguments": self._state_arguments,
-            "control_results": "".join(f", double *{_c(f'u_{name}')}" for name in self._controls),
-            "gain_results": "".join(f", double *{_c(f'k_{name}')}" for name in self._controls),
-            "gain_arguments": "".join(f", const double *{_c(f'k_{name}')}" for name in self._controls),
+            "control_results": "".join(f", double *{_c(f'u_{name}')}" for name in self._controls.shapes),
+            "gain_results": "".join(f", double *{_c(f'k_{name}')}" for name in self._controls.shapes),
+            "gain_arguments": "".join(f", const double *{_c(f'k_{name}')}" for name in self._controls.shapes),
         }
 
     @property
     def _state_arguments(self) -> str:
         return "".join(f", const double *{_c(f'x_{name}')}" for name, _ in self._states)
 
-    def _work(self) -> dict[str, int]:
-        """The number of scalar operations: those of the kernels, and those of matrix products from their sizes."""
-        operations, (phase,) = self._phase.kernels.operations, self._staged.transcription.phases
-        method, K = phase.method, phase.intervals
-        stages, evaluated = method.substeps * len(method.b), method.weights != 0
-        evaluated[: method.substeps + 1] |= (phase.path != NONE).any(axis=(0, 2))
-        points = int(np.count_nonzero(evaluated))
-
-        def rows(name: str) -> int:
-            return stages if "_rate" in name else points if "_rows" in name else 1
-
-        of_kernels = {name: count * rows(name) * (1 if "_node" in name else K) for name, count in operations.items()}
-        values = sum(count for name, count in of_kernels.items() if not name.endswith(("slopes", "bends")))
-        n, m, p = phase.n, phase.m, self._stages.parameters
-        size = n + m + p
-        products = K * stages * (4 * n * n * size + 4 * size * size * n)
-        N = K + 1
-        riccati = N * (2 * n * n * size + 2 * n * size * size + m**3 + 2 * m * size * size)
-        riccati += 2 * size * size * (sum(self._stages.inequalities) + sum(self._stages.equalities))
-        return {"functions": sum(of_kernels.values()) + products, "trial": values, "riccati": riccati}
+    def _shift_texts(self) -> dict[str, str]:
+        """What the header says of the shift, and its call in the test program."""
+        name = self._name
+        if self._controller.moves_on is None:
+            none = f" * A solve starts from the last plan as it is. {name}_durations sets durations that remain"
+            return {"shift_convention": none, "shift_declaration": "", "shift_call": ""}
+        return {
+            "shift_convention": f" *   {name}_shift      the plan moves on by one interval",
+            "shift_declaration": f"void {name}_shift({name}_controller *c);\n",
+            "shift_call": f"    {name}_shift(&controller);\n",
+        }
 
     # ---- source file ------------------------------------------------------------------------------------------------
 
     def _core(self) -> str:
-        phase, stages = self._staged.transcription.phases[0], self._stages
+        """The core, with the sizes of intervals as constants if all phases have the same."""
+        phase, stages = self._transcription.phases[0], self._stages
+        sizes = {(other.n, other.m, len(other.method.b)) for other in self._transcription.phases}
+        if len(sizes) > 1:
+            return controller_core()
         return controller_core(
             states=phase.n,
             controls=phase.m,
@@ -201,73 +167,91 @@ class ControllerCode:
         )
 
     def _source(self) -> dict[str, Any]:
-        sizes, solve, staged = self._sizes, self._solve, self._staged
-        phase, point = staged.transcription.phases[0], staged.parts[0].point
-        units, stages, constants = self._controller.units, self._stages, self._constants()
+        sizes, solve, staged = self._memory.sizes, self._solve, self._staged
+        phase, point = self._transcription.phases[0], staged.parts[0].point
+        units, constants = self._controller.units, self._constants()
         empty = {name for name, values in constants.items() if not np.size(values)}
         texts = [array(name, np.asarray(a)) for name, a in constants.items() if name not in empty]
         every = ["lower", "upper", "v", "s", "lambda", "y", "ye", "zl", "zu", "data"]
         loaded = [name for name in every if f"start_{name}" not in empty]
-        kinds = (("rows", "s"), ("rows", "y"), ("equalities", "ye"))
-        gathers = [
-            f"  gather(c->{name}, later_{kind}, {sizes[kind]}, scratch);"
-            for kind, name in kinds
-            if f"later_{kind}" not in empty
-        ]
         texts += [f"#define {name} NULL\n" for name in ("unit_rows", "unit_equalities") if name in empty]
         return {
             **sizes,
             "core": self._core(),
-            "constants": "\n".join([self._phase.text, *texts]),
+            "constants": "\n".join([self._phases.text, *texts]),
             "options": ", ".join(_REAL.literal(getattr(solve.options, name)) for name, _ in solve.options._fields_),
+            "phases": len(self._transcription.phases),
+            "stages": len(self._stages.states),
+            "parameters": self._stages.parameters,
+            "durations": int(staged.numbers.final_time[0]),
             "states": phase.n,
+            "measured": self._tangents,
             "intervals": phase.intervals,
             "point": point.size,
-            "controls": phase.m,
-            "node_rows": staged.numbers.node_rows(0)[0] if phase.node_rows[1] else 0,
+            "measured_point": self._node.size,
             "cost_unit": _REAL.literal(units.cost),
             "load": "\n".join(f"  memcpy(c->{name}, start_{name}, sizeof start_{name});" for name in loaded),
             "prepare": self._prepare(),
             "prepare_arguments": "".join(f", const double *{_c(f'p_{name}')}" for name in self._params),
             **self._arguments,
-            **self._layout,
-            "scratch": self._staged.transcription.phase_doubles(self._window)[1],
+            **self._memory.layout,
+            "scratch": self._memory.scratch,
             "curvature": _REAL.literal(GAINS_CURVATURE),
             "least_distance": _REAL.literal(GAINS_LEAST),
-            "write_gains": "\n".join(
-                f"    for (int j = 0; j < {part.stop - part.start}; j++) "
-                f"{_c(f'k_{name}')}[j * STATES + i] = m->sides[i][STATES + {part.start} + j];"
-                for name, (part, _) in self._controls.items()
-            ),
-            "write_corrected": "\n".join(
-                f"  corrected_control(c, {_c(f'k_{name}')}, step, {part.start}, {part.stop - part.start}, "
-                f"{_c(f'u_{name}')});"
-                for name, (part, _) in self._controls.items()
-            ),
+            **self._of_controls(),
             "read_state": "\n".join(
                 f"  memcpy(x + {places[0]}, {_c(f'x_{name}')}, sizeof(double) * {len(places)});"
                 for name, places in self._states
-            ),
-            "write_controls": "\n".join(
-                f"  memcpy({_c(f'u_{name}')}, c->z + POINT + {part.start}, sizeof(double) * {part.stop - part.start});"
-                for name, (part, _) in self._controls.items()
             ),
             "share": _REAL.literal(BARRIER_SHARE),
             "least": _REAL.literal(BARRIER_LEAST),
             "most": _REAL.literal(BARRIER_MOST),
             "sign": _REAL.literal(self._controller.problem.sign),
             "cost_share": _REAL.literal(COST),
-            "last": int(stages.first[-1]),
-            "gather_rows": "\n".join(gathers),
+            "shifts": int(self._controller.moves_on is not None),
+            "last": int(self._stages.first[-1]),
+            "gather_rows": self._gather_rows(empty),
         }
 
-    def _constants(self) -> dict[str, Any]:
-        """Arrays by their names in C: the present plan, units, sizes of stages, and indices of the shift."""
-        solve, staged, stages = self._solve, self._staged, self._stages
-        phase, units, shift = staged.transcription.phases[0], self._controller.units, self._controller.moves_on
-        flat = -np.ones(self._sizes["variables"], np.int32)
-        flat[staged.plain[1]] = staged.plain[0]
+    def _of_controls(self) -> dict[str, str]:
+        """Statements for the first controls."""
+        every = list(zip(map(_c, self._controls.shapes), self._controls.of_each))
         return {
+            "write_gains": "\n".join(
+                f"    for (int j = 0; j < {size}; j++) k_{name}[j * MEASURED + i] = m->sides[i][{column} + j];"
+                for name, (_, column, size) in every
+            ),
+            "write_corrected": "\n".join(
+                f"  corrected_control(c, k_{name}, step, {point}, {column}, {size}, u_{name});"
+                for name, (point, column, size) in every
+            ),
+            "write_controls": "\n".join(
+                f"  memcpy(u_{name}, c->z + {point}, sizeof(double) * {size});" for name, (point, _, size) in every
+            ),
+        }
+
+    def _gather_rows(self, empty: set[str]) -> str:
+        """Statements of the shift for rows, and for the rates of continuous controls."""
+        kinds, shift = (("rows", "s"), ("rows", "y"), ("equalities", "ye")), self._controller.moves_on
+        if shift is None:
+            return ""
+        lines = [
+            f"  gather(c->{name}, later_{kind}, {self._memory.sizes[kind]}, scratch);"
+            for kind, name in kinds
+            if f"later_{kind}" not in empty
+        ]
+        return "\n".join([*lines, *(f"  c->z[{a}] = c->v[{b}] = 0;" for a, b in shift.resting.T)])
+
+    def _constants(self) -> dict[str, Any]:
+        """Arrays by their names in C: the present plan, units, sizes of stages, memory of phases, and indices of the
+        shift.
+        """
+        solve, staged, stages = self._solve, self._staged, self._stages
+        phases, units, shift = self._transcription.phases, self._controller.units, self._controller.moves_on
+        flat = -np.ones(self._memory.sizes["variables"], np.int32)
+        flat[staged.plain[1]] = staged.plain[0]
+        after = lambda sizes: np.cumsum([0, *sizes])[:-1].astype(np.int32)  # noqa: E731
+        constants = {
             "start_z": solve.z,
             **{f"start_{name}": getattr(solve, name) for name in ("lower", "upper")},
             "start_v": solve.v,
@@ -277,7 +261,7 @@ class ControllerCode:
             "start_ye": solve.ye,
             "start_zl": solve.zl,
             "start_zu": solve.zu,
-            "start_data": self._controller.numbers,
+            "start_data": self._controller.data.numbers,
             "unit_v": units.size,
             "unit_rows": units.row_size,
             "unit_equalities": units.equality_size,
@@ -287,24 +271,28 @@ class ControllerCode:
             "stage_inequalities": np.array(stages.inequalities, np.int32),
             "stage_equalities": np.array(stages.equalities, np.int32),
             "stage_points": np.array(stages.point_states or stages.states, np.int32),
+            "work_of": after(self._memory.work),
+            "slopes_of": after(slopes.size for slopes in self._transcription.cost_slopes),
+            "node_rows_of": np.array([phase.node_rows[0] if phase.node_rows[1] else 0 for phase in phases], np.int32),
+            "duration_at": self._duration_columns(),
             "flat_of": flat,
-            "flat_entry": flat[: phase.n],
-            "later_z": shift.points.astype(np.int32),
-            "later_v": shift.variables.astype(np.int32),
-            "later_defects": shift.defects.astype(np.int32),
-            "later_rows": shift.rows.astype(np.int32),
-            "later_equalities": shift.equalities.astype(np.int32),
+            "flat_entry": flat[: phases[0].n],
         }
+        if shift is not None:
+            later = {"z": shift.points, "v": shift.variables, "defects": shift.defects, "rows": shift.rows}
+            later["equalities"] = shift.equalities
+            constants |= {f"later_{name}": places.astype(np.int32) for name, places in later.items()}
+        return constants
 
     def _parameters(self) -> dict[str, tuple[Array, Array]]:
         """Values, and the position of each entry in the data; parameters with a value for each node have several
         columns.
         """
-        numbers, by_node = self._staged.numbers, self._controller.part.by_node
-        placed = {name: values for name, values in self._controller.params.items() if name not in by_node.leaves}
-        params = {name: (values, numbers.places([name], [])) for name, values in placed.items()}
-        for name in by_node.leaves:
-            params[name] = (self._controller.params[name], by_node.places(name) + numbers.node_rows(0)[0])
+        numbers, values = self._staged.numbers, self._controller.params
+        params = {name: (values[name], numbers.places([name], [])) for name in numbers.names}
+        for k, phase in enumerate(self._controller.problem.parts):
+            for name in phase.by_node.leaves:
+                params[name] = (values[name], phase.by_node.places(name) + numbers.node_rows(k)[0])
         return params
 
     def _prepare(self) -> str:
@@ -330,17 +318,20 @@ class ControllerCode:
 
     def _test(self, states: Sequence[Mapping[str, Any]], tolerance: float) -> dict[str, Any]:
         """The iterates of the Python controller, whose state is restored afterwards."""
-        expected, iterations, statuses = rehearsed(self._controller, states)
+        expected = rehearsed(self._controller, states)
         columns = {name: np.array([np.ravel(x[name]) for x in states], float) for name, _ in self._states}
         data = [array(_c(f"measured_{name}"), values) for name, values in columns.items()]
-        data += [array("expected", expected), array("iterations", iterations), array("statuses", statuses)]
+        names = ("expected_z", "expected_lambda", "iterations", "statuses")
+        data += [array(name, values) for name, values in zip(names, expected)]
         sizes = {name: values.shape[1] for name, values in columns.items()}
-        results = {name: columns.stop - columns.start for name, (columns, _) in self._controls.items()}
+        results = {name: size for name, (_, _, size) in zip(self._controls.shapes, self._controls.of_each)}
         declared = " ".join(f"double {_c(f'u_{name}')}[{size}];" for name, size in results.items())
         arguments = [f"{_c(f'measured_{name}')} + {size} * k" for name, size in sizes.items()]
         arguments += [_c(f"u_{name}") for name in results]
         return {
             "points": len(self._solve.z),
+            "defects": len(self._solve.lam),
+            **self._shift_texts(),
             "calls": len(states),
             "tolerance": f"{tolerance:.0e}",
             "data": "\n".join(data),

@@ -20,25 +20,29 @@ from ..transcription.staged import Staged
 class FirstNode:
     """Reads measured states, and writes them into the first node of a plan.
 
+    The states of the system precede those of continuous controls, which the solver chooses.
+
     Args:
-        staged: a problem of one phase.
-        dynamics: the dynamics of that phase.
+        staged: the transcribed problem.
+        dynamics: the system of its first phase, as users stated it.
 
     Attributes:
-        size: the number of entries of the node's point.
-        n: the number of its tangents.
+        size: the number of entries of the measured states.
+        n: the number of their tangents.
     """
 
     def __init__(self, staged: Staged, dynamics: Any) -> None:
-        point = staged.parts[0].point
-        self.size, self.n = int(point.size), dynamics.group.dimension
+        part = staged.parts[0]
+        point = part.point
+        self.n, self._all = dynamics.group.dimension, part.shooting.n
+        self.size = sum(len(point.places(state.name)) for state in dynamics.states)
         self._states = {}
         for state in dynamics.states:
             places, columns = point.places(state.name), dynamics.group.slices[state.name]
             here = slice(int(places[0]), int(places[-1]) + 1) if len(places) else slice(0, 0)
             self._states[state.name] = (here, columns, state.shape, state.group)
         self._flat = all(state.group.flat for state in dynamics.states)
-        self._gap = staged.parts[0].phase.kernels.gap.kernels[0]
+        self._point, self._gap = point.size, part.phase.kernels.gap.kernels[0]
 
     def named(self, x: Mapping[Any, Any]) -> dict[str, Any]:
         """Traced values of all states by name. Raises InputError, ShapeError: a missing state or another shape."""
@@ -75,11 +79,11 @@ class FirstNode:
         return base
 
     def point(self, solve: PreparedSolve) -> Array:
-        """A copy of the first node's point."""
+        """A copy of the measured states of the first node."""
         return solve.z[: self.size].copy()
 
     def write(self, solve: PreparedSolve, base: Array) -> None:
-        """Fix the first node at a point."""
+        """Fix the measured states of the first node."""
         solve.z[: self.size] = base
         for places, columns, _, group in self._states.values():  # the coordinates of a point on a manifold are zero
             at = base[places] if group.flat else 0.0
@@ -87,11 +91,12 @@ class FirstNode:
 
     def difference(self, solve: PreparedSolve, base: Array) -> Array:
         """Log(x_0^-1 x) for a point x and the first node x_0 of the plan."""
-        here = solve.z[: self.size]
         if self._flat:
-            return base - here
-        arguments = {Argument.Z: np.zeros((1, self.n)), Argument.BASE: base[None], Argument.TARGET: here[None]}
-        return self._gap(1, self.n, arguments)[0]
+            return base - solve.z[: self.size]
+        target = solve.z[: self._point]
+        moved = np.concatenate([base, target[self.size :]])
+        arguments = {Argument.Z: np.zeros((1, self._all)), Argument.BASE: moved[None], Argument.TARGET: target[None]}
+        return self._gap(1, self._all, arguments)[0, : self.n]
 
 
 def _numbers(name: str, value: Any) -> Array:

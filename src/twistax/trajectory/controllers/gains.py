@@ -22,7 +22,7 @@ class Gains:
 
     Args:
         solve: the prepared solve that holds the plan.
-        staged: a problem of one phase.
+        staged: the transcribed problem.
     """
 
     def __init__(self, solve: PreparedSolve, staged: Staged, units: Units) -> None:
@@ -31,8 +31,8 @@ class Gains:
         fixed = solve.lower == solve.upper
         self._moves = Moves(staged.transcription, units, Options(curvature=GAINS_CURVATURE), fixed, transposed=False)
 
-    def __call__(self, n: int) -> Array:
-        """(m, n) derivatives of the controls of the first interval with respect to the tangents of the first node.
+    def __call__(self, n: int, columns: Array) -> Array:
+        """(columns, n) derivatives of some variables with respect to the first n tangents of the first node.
 
         Raises:
             TrajectoryError: the plan is not a strict minimum, or its derivatives are not finite.
@@ -44,4 +44,4 @@ class Gains:
         row = np.concatenate([solve.z, solve.lam, solve.y, solve.ye, of_bounds, of_rows, np.ones(1)])
         sides = np.zeros((n, stages.variables + sum(stages.row_counts) + 1))
         sides[np.arange(n), np.arange(n)] = 1.0
-        return np.array(self._moves.now(row, sides)[:, n : n + stages.controls[0]].T)
+        return np.array(self._moves.now(row, sides)[:, columns].T)

@@ -16,8 +16,10 @@ from ...solver.prepared import PreparedSolve
 from ..start_units import StartUnits
 from ..strategy.measure import COST
 from ..transcription.staged import Staged
-from .barrier import BARRIER_MOST, BARRIER_SHARE
 
+#: The ratio of the initial barrier parameter of a call to the largest move of the measured state, in units of the
+#: states, and its limits.
+BARRIER_SHARE, BARRIER_LEAST, BARRIER_MOST = 1e-2, 1e-7, 1e-1
 #: A measured state that differs from the plan by this number of units indicates wrong units: the initial barrier
 #: parameter would be at its limit.
 _FAR = BARRIER_MOST / BARRIER_SHARE
@@ -33,7 +35,7 @@ class PlanUnits:
     with that state, and at each following plan until two successive measurements agree.
 
     Args:
-        staged: a problem of one phase.
+        staged: the transcribed problem.
         first: the units measured at the first plan.
 
     Attributes:

@@ -11,40 +11,48 @@ from ..hessians.options import by_updates
 
 
 def need_controllable(problem: Any) -> None:
-    """Raise TrajectoryError if the initial state or the first control contains quantities that are not those of the
-    system.
+    """Raise TrajectoryError if the initial state of the first phase contains quantities that are neither states of the
+    system nor its continuous controls.
     """
-    if len(problem.parts) != 1:
-        raise TrajectoryError(
-            "controller: the problem has several phases, which a controller does not support.\n"
-            "  fix: make a controller for a problem of one phase"
-        )
-    (part,) = problem.parts
-    measured = {state.name for state in part.phase.dynamics.states}
-    if added := sorted({state.name for state in part.dynamics.states} - measured):
+    first = problem.parts[0]
+    known = {state.name for state in first.phase.dynamics.states} | first.continuous.hidden
+    if added := sorted({state.name for state in first.dynamics.states} - known):
         raise TrajectoryError(
             f"controller: the problem has states that cannot be measured: {', '.join(added)}. They "
-            "represent continuous controls, free node times, or integrals and extremes of the path.\n"
-            "  fix: use piecewise constant controls, nodes at fixed fractions, and running= in place of Integral"
+            "represent integrals and extremes of the path.\n"
+            "  fix: use running= in place of Integral, and bounds in place of Maximum and Minimum"
         )
     if by_updates(problem.parts):
         raise TrajectoryError(
             "controller: QuasiNewton() approximates second derivatives over many iterations, and a "
             "controller makes few.\n  fix: pass hessian=tx.trajectory.GaussNewton(), or exact second derivatives"
         )
-    for name, fixed in part.ends.initial_fixed.items():
-        if not np.all(fixed):
+    fixed = first.ends.initial_fixed
+    for state in first.phase.dynamics.states:
+        if not np.all(fixed[state.name]):
             raise TrajectoryError(
-                f"controller: the initial value of {name!r} is free in the problem, but a controller "
+                f"controller: the initial value of {state.name!r} is free in the problem, but a controller "
                 "starts from a measured state.\n  fix: state the problem with initial= for every state"
+            )
+    for name in first.continuous.smooth:
+        if np.any(fixed[name]):
+            raise TrajectoryError(
+                f"controller: the problem fixes the initial value of the control {name!r}, which a controller "
+                f"chooses.\n  fix: leave it free; or make {name!r} a state, which is measured, with its rate as control"
             )
 
 
-def need_shiftable(problem: Any) -> None:
-    """Raise TrajectoryError unless the problem is the same one interval later."""
-    (part,) = problem.parts
-    if not part.mesh.is_even:
-        raise TrajectoryError(
-            "shift: intervals have different lengths, so the plan cannot be shifted.\n"
+def why_not_shiftable(problem: Any) -> str | None:
+    """The reason why the problem is not the same one interval later, or None."""
+    if len(problem.parts) != 1:
+        return (
+            "the problem has several phases, and one interval later the first phase is shorter.\n"
+            "  fix: call feedback without shift, which starts from the last plan; set the remaining "
+            "durations with prepare(final_time=...), unless they are free"
+        )
+    if not problem.parts[0].mesh.is_even:
+        return (
+            "intervals have different lengths, so the plan cannot be shifted.\n"
             "  fix: use a mesh with nodes at equal distances"
         )
+    return None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy import ndarray as Array
@@ -17,16 +17,19 @@ class Shift:
     """Shifts the iterate of a prepared solve by one interval.
 
     Controls, multipliers and slacks of an interval are replaced by those of the next one. The last control is repeated,
-    and the last state is integrated with it, by the problem's transcription.
+    and the last state is integrated with it, by the problem's transcription. A continuous control stays at its last
+    value.
 
     Args:
         staged: a problem of one phase, with nodes at equal distances.
+        rates: the names of the rates of continuous controls.
 
     Attributes:
         points, variables, defects, rows, equalities: for each entry the index of its value one interval later.
+        resting: the indices in z and in v, (2, entries), of these rates in the last interval, which become zero.
     """
 
-    def __init__(self, staged: Staged) -> None:
+    def __init__(self, staged: Staged, rates: Iterable[str]) -> None:
         self._staged, transcription = staged, staged.transcription
         stages, phase = transcription.stages, transcription.phases[0]
         points = stages.point_states or stages.states
@@ -34,6 +37,12 @@ class Shift:
         self.points = _stage_after(points, stages.controls, stages.points - stages.parameters + shared)
         self.variables = _stage_after(stages.states, stages.controls, stages.variables - stages.parameters + shared)
         self.defects = _interval_after(phase.n, phase.intervals)
+        of_rates = [np.zeros(0, int)]
+        for name in rates:
+            here = staged.parts[0].shooting.local.controls.slices[name]
+            of_rates.append(np.arange(here.start, here.stop))
+        first = [stages.first_point[-2] + points[0], stages.first[-2] + phase.n]
+        self.resting = np.array(first)[:, None] + np.concatenate(of_rates)
         counts = stages.row_counts
         path, places = phase.path, transcription.path_places[0]
         self.rows, self.equalities = (
@@ -45,6 +54,8 @@ class Shift:
         solve.z[:] = solve.z[self.points]
         for array in (solve.v, solve.zl, solve.zu):
             array[:] = array[self.variables]
+        for array, places in zip((solve.z, solve.v), self.resting):
+            array[places] = 0.0
         solve.lam[:] = solve.lam[self.defects]
         for array in (solve.s, solve.y):
             array[:] = array[self.rows]

@@ -48,9 +48,9 @@ def started(
     """
     arguments = {"guess": guess, "initial": initial, "final": final}
     arguments |= {"final_time": final_time, "final_time_guess": final_time_guess}
-    by_phase = zip(*(_by_phase(problem, what, value) for what, value in arguments.items()))
+    of_phases = zip(*(by_phase(problem, f"solve: {what}", value) for what, value in arguments.items()))
     ends, times, guesses = [], [], []
-    for part, name, of_phase in zip(problem.parts, problem.names, by_phase):
+    for part, name, of_phase in zip(problem.parts, problem.names, of_phases):
         with problem.errors_of(name):
             ends.append(part.other_ends(*of_phase[1:3]))
             times.append(part.other_times(*of_phase[3:]))
@@ -73,15 +73,20 @@ def started(
     return Started(begin, Instance(dict(values), fixed, limits, margins), values, ends)
 
 
-def _by_phase(problem: Any, what: str, value: Any) -> list[Any]:
+def by_phase(problem: Any, what: str, values: Any) -> list[Any]:
+    """A value for each phase, or None, from a dict by names of phases.
+
+    Raises:
+        ModelError: not a dict; the name of no phase.
+    """
     if problem.alone:
-        return [value]
-    if value is not None and not isinstance(value, Mapping):
-        raise ModelError(f"solve: {what} expects a dict from names of phases, got {short(value)}")
-    for name in value or {}:
+        return [values]
+    if values is not None and not isinstance(values, Mapping):
+        raise ModelError(f"{what} expects a dict from names of phases, got {short(values)}")
+    for name in values or {}:
         if not isinstance(name, str) or name not in problem.names:
-            raise ModelError(f"solve: {what} names {name_of(name)!r}; the phases are: {listed(problem.names, name)}")
-    return [(value or {}).get(name) for name in problem.names]
+            raise ModelError(f"{what} names {name_of(name)!r}; the phases are: {listed(problem.names, name)}")
+    return [(values or {}).get(name) for name in problem.names]
 
 
 def axes(problem: Any) -> dict[str, Any]:

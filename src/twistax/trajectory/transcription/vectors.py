@@ -101,9 +101,10 @@ class Numbers:
         sizes = [part.width * len(part.shares) for part in self._by_node[:phase]]
         return self.size + sum(sizes), self._by_node[phase].width
 
-    def places(self, params: Iterable[str], final: Iterable[str]) -> Array:
-        """The index ranges of the parameters, and of the final states of the last phase."""
-        of_final = [self._ends[-3] + self._points[-1].places(name) for name in final]
+    def places(self, params: Iterable[str], final: Iterable[str], phase: int = -1) -> Array:
+        """The index ranges of the parameters, and of the final states of a phase, by default the last one."""
+        number = phase % len(self._points)
+        of_final = [self._ends[2 + 2 * number] + self._points[number].places(name) for name in final]
         return np.concatenate([np.zeros(0, int), *map(self._params.places, params), *of_final])
 
     def params(self, vector: Any) -> dict[str, Any]:
