@@ -32,7 +32,11 @@ def sloshing_tank() -> tuple[tx.Dynamics, dict[str, Any]]:
     return tx.compile(mechanism.system(controls=[], outputs=outputs)), start
 
 
-@pytest.mark.parametrize("how", [{"rtol": 1e-8, "save_at": np.linspace(0.0, 1.0, 11)}, {"dt": 5e-3}], ids=repr)
+@pytest.mark.parametrize(
+    "how",
+    [pytest.param({"rtol": 1e-8, "save_at": np.linspace(0.0, 1.0, 11)}, marks=pytest.mark.slow), {"dt": 5e-3}],
+    ids=["rtol", "dt"],
+)
 def test_a_rate_of_a_million_is_no_trouble_for_radau(how: dict[str, Any]) -> None:
     """Rounding of terms that cancel in the rates is far above that of the states: Newton's method ends at its noise."""
     dynamics, start = sloshing_tank()

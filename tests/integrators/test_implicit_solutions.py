@@ -260,7 +260,9 @@ def test_another_solution_does_not_compile_again(caplog: pytest.LogCaptureFixtur
     assert not [record for record in caplog.records if "solve" in record.getMessage()]
 
 
-@pytest.mark.parametrize("how", [{"dt": 0.25}, {"rtol": 1e-6}], ids=["fixed", "adaptive"])
+@pytest.mark.parametrize(
+    "how", [{"dt": 0.25}, pytest.param({"rtol": 1e-6}, marks=pytest.mark.slow)], ids=["fixed", "adaptive"]
+)
 def test_derivatives_of_saved_states_of_rates_with_branches(how: dict[str, float]) -> None:
     x = tx.State("x", shape=(2,))
     dynamics = tx.compile(tx.System({x: tx.Cond(x[0] <= 5.0, -x * x, -2.0 * x)}))

@@ -30,9 +30,9 @@ def backwards(a: jax.Array, x: jax.Array) -> Any:
     return jax.lax.scan(lambda c, u: (0.9 * c + u, c @ a), x, MANY.astype(x.dtype), reverse=True)
 
 
-def counted(a: jax.Array, x: jax.Array) -> jax.Array:
+def counted(a: jax.Array, x: jax.Array, length: int = LENGTH) -> jax.Array:
     """By `fori_loop`, with the number of the iteration."""
-    return jax.lax.fori_loop(0, LENGTH, lambda k, c: jnp.cos(a @ c) + 1e-3 * k, x)
+    return jax.lax.fori_loop(0, length, lambda k, c: jnp.cos(a @ c) + 1e-3 * k, x)
 
 
 def until(a: jax.Array, x: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -1,5 +1,6 @@
 """A batch inside of a function of `tx.fast`, by `vmap`, `lax.map` or an axis of arrays, becomes that of a kernel."""
 
+import functools
 import re
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -166,7 +167,7 @@ def test_a_compiled_system_for_each_member() -> None:
 # ---- derivatives -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("function", [straight, counted], ids=lambda f: f.__name__)
+@pytest.mark.parametrize("function", [straight, functools.partial(counted, length=100)], ids=["straight", "counted"])
 def test_derivatives(function: Callable[..., Any]) -> None:
     batched = scalar(jax.vmap(function, (None, 0)))
     own = scalar(tx.fast(jax.vmap(function, (None, 0))))

@@ -30,16 +30,24 @@ def tilted(x: float, angle: float = 0.0) -> np.ndarray:
     return np.array([[1.0, 0.0, 0.0, x], [0.0, c, -s, 0.0], [0.0, s, c, 0.0], [0.0, 0.0, 0.0, 1.0]])
 
 
-def four_bar(tilt: float, closure: loops.Loop, **more: Any) -> Mechanism:
-    """A planar linkage in space whose rocker turns about an axis that is tilted."""
+STRAIGHT = tilted(0.9)
+
+
+def four_bar(rocker: Any, closure: loops.Loop, **more: Any) -> Mechanism:
+    """A planar linkage in space; the mount of its rocker may tilt the rocker's axis."""
     links = [
         Link(joints.Revolute("crank", Y), rod(0.4), tilted(0.0)),
         Link(joints.Revolute("coupler", Y), rod(1.0), tilted(0.4), parent="crank"),
         Link(joints.Fixed("pin"), None, tilted(1.0), parent="coupler"),
-        Link(joints.Revolute("rocker", Y), rod(0.8), tilted(0.9, tilt)),
+        Link(joints.Revolute("rocker", Y), rod(0.8), rocker),
         Link(joints.Fixed("tip"), None, tilted(0.8), parent="rocker"),
     ]
     return Mechanism(links, loops=[closure], **more)
+
+
+@functools.cache
+def straight() -> Mechanism:
+    return four_bar(STRAIGHT, loops.PointLoop("c", "pin", "tip"))
 
 
 @functools.cache
@@ -58,6 +66,7 @@ def start() -> dict[str, np.ndarray]:
     return {"q": np.array([a, b, c]), "qd": np.array([3.0, *rates])}
 
 
+@functools.cache
 def moving(mechanism: Mechanism) -> Any:
     def outputs(qdd: Any, tau: Any) -> dict[str, Any]:
         return {
@@ -69,12 +78,12 @@ def moving(mechanism: Mechanism) -> Any:
     return tx.compile(mechanism.system(controls=[], outputs=outputs))
 
 
-def by_kkt(mechanism: Mechanism, x: dict[str, Any], length: float) -> tuple[np.ndarray, np.ndarray, int]:
-    """Accelerations, the shortest multipliers in the measure of a length, and the rank, by singular values."""
+@functools.cache
+def terms(mechanism: Mechanism) -> Any:
+    """Of positions and rates: rows of the gap, their drift, the mass matrix, and the forces of the Lagrangian."""
     gap = tx.lower(mechanics.loop_gap(mechanism, "c"))
     kinetic = tx.lower(mechanics.kinetic_energy(mechanism))
     potential = tx.lower(mechanics.potential_energy(mechanism))
-    q, qd = (jnp.asarray(x[name]) for name in ("q", "qd"))
 
     def lagrangian(q: Any, qd: Any) -> Any:
         return kinetic(0.0, {"q": q, "qd": qd}) - potential(0.0, {"q": q})
@@ -86,7 +95,12 @@ def by_kkt(mechanism: Mechanism, x: dict[str, Any], length: float) -> tuple[np.n
         f = jax.grad(lagrangian)(q, qd) - jax.jvp(lambda q: moment(q, qd), (q,), (qd,))[1]
         return rows(q), c, jax.hessian(lagrangian, 1)(q, qd), f
 
-    G, c, M, f = map(np.asarray, derivatives(q, qd))
+    return derivatives
+
+
+def by_kkt(mechanism: Mechanism, x: dict[str, Any], length: float) -> tuple[np.ndarray, np.ndarray, int]:
+    """Accelerations, the shortest multipliers in the measure of a length, and the rank, by singular values."""
+    G, c, M, f = map(np.asarray, terms(mechanism)(jnp.asarray(x["q"]), jnp.asarray(x["qd"])))
     measures = np.where(np.arange(len(G)) < 3, 1.0, length)
     scaled = measures[:, None] * G / length  # all joints turn
     U, sizes, _ = np.linalg.svd(scaled)
@@ -102,21 +116,26 @@ def by_kkt(mechanism: Mechanism, x: dict[str, Any], length: float) -> tuple[np.n
 @pytest.mark.parametrize("closure", ["point", "axis"])
 def test_an_axis_that_is_a_little_off_changes_nothing(closure: str) -> None:
     loop = loops.PointLoop("c", "pin", "tip") if closure == "point" else loops.AxisLoop("c", "pin", "tip", Y)
-    straight = moving(four_bar(0.0, loop))
-    qdd, found = straight(0.0, start())["qd"], straight.outputs(0.0, start())
-    expected, multipliers, rank = by_kkt(four_bar(0.0, loop), start(), 0.775)
+    tilt = tx.Parameter("tilt")
+    rocker = tx.pose(position=[0.9, 0.0, 0.0], rotation_vector=tilt * np.array([1.0, 0.0, 0.0]))
+    dynamics, untilted = moving(four_bar(rocker, loop)), four_bar(STRAIGHT, loop)
+
+    def at(tilt: float) -> tuple[Any, Any]:
+        params = {"tilt": tilt}
+        return dynamics(0.0, start(), params=params)["qd"], dynamics.outputs(0.0, start(), params=params)
+
+    qdd, found = at(0.0)
+    expected, multipliers, rank = by_kkt(untilted, start(), 0.775)
     np.testing.assert_allclose(qdd, expected, rtol=1e-10)
-    carried = four_bar(0.0, loop).loops[0].constraint_basis.value @ multipliers
+    carried = untilted.loops[0].constraint_basis.value @ multipliers
     np.testing.assert_allclose(found["F"], carried, rtol=1e-9, atol=1e-10)
     assert (int(found["rank"]), int(found["redundant"])) == (rank, loop.rows - rank) == (2, loop.rows - 2)
     size = np.linalg.norm(found["F"])
-    for tilt in (1e-12, 1e-9, 1e-7, 1e-6, 3.67e-6):
-        off = moving(four_bar(tilt, loop))
-        np.testing.assert_allclose(off(0.0, start())["qd"], qdd, rtol=1e-6)
-        carried = off.outputs(0.0, start())
-        np.testing.assert_allclose(
-            carried["F"], found["F"], rtol=0.0, atol=1e-6 * size if tilt <= 1e-6 else 1e-5 * size
-        )
+    for angle in (1e-12, 1e-9, 1e-7, 1e-6, 3.67e-6):
+        moved, carried = at(angle)
+        np.testing.assert_allclose(moved, qdd, rtol=1e-6)
+        allowed = 1e-6 * size if angle <= 1e-6 else 1e-5 * size
+        np.testing.assert_allclose(carried["F"], found["F"], rtol=0.0, atol=allowed)
         assert carried["wrench_error"] < 1e-7
 
 
@@ -139,7 +158,7 @@ def test_a_four_bar_linkage_moves_as_pinocchio_says() -> None:
     pin.initConstraintDynamics(model, data, models, datas)
     x, settings = start(), pin.ProximalSettings(1e-12, 1e-12, 50)
     expected = pin.constraintDynamics(model, data, x["q"], x["qd"], np.zeros(3), models, datas, settings)
-    dynamics = moving(four_bar(0.0, loops.PointLoop("c", "pin", "tip")))
+    dynamics = moving(straight())
     np.testing.assert_allclose(dynamics(0.0, x)["qd"], expected, rtol=1e-8)
     force = np.linalg.norm(dynamics.outputs(0.0, x)["F"])
     np.testing.assert_allclose(force, np.linalg.norm(datas[0].contact_force.linear), rtol=1e-8)
@@ -147,20 +166,19 @@ def test_a_four_bar_linkage_moves_as_pinocchio_says() -> None:
 
 def test_an_axis_that_is_off_locks_the_linkage() -> None:
     """What is no round-off counts: three rows on three freedoms leave no motion."""
-    found = moving(four_bar(1e-2, loops.PointLoop("c", "pin", "tip"))).outputs(0.0, start())
+    found = moving(four_bar(tilted(0.9, 1e-2), loops.PointLoop("c", "pin", "tip"))).outputs(0.0, start())
     assert int(found["redundant"]) == 0
     assert 1e-5 < float(found["reciprocal_condition"]) < 1e-2
-    loose = four_bar(1e-2, loops.PointLoop("c", "pin", "tip"), loop_metric=loops.Metric(tolerance=0.1))
+    loose = four_bar(tilted(0.9, 1e-2), loops.PointLoop("c", "pin", "tip"), loop_metric=loops.Metric(tolerance=0.1))
     assert int(moving(loose).outputs(0.0, start())["redundant"]) == 1
 
 
 def test_where_a_linkage_stands_is_no_length_of_it() -> None:
-    loop, far = loops.PointLoop("c", "pin", "tip"), np.asarray(tx.pose(position=[1e3, -2e3, 0.0]))
-    near = four_bar(0.0, loop)
+    near, far = straight(), np.asarray(tx.pose(position=[1e3, -2e3, 0.0]))
     links = [
         dataclasses.replace(each, mount=far @ each.mount.value) if each.parent is None else each for each in near.links
     ]
-    found, expected = (moving(each).outputs(0.0, start()) for each in (Mechanism(links, loops=[loop]), near))
+    found, expected = (moving(each).outputs(0.0, start()) for each in (Mechanism(links, loops=near.loops), near))
     for name in ("F", "rank", "reciprocal_condition"):
         np.testing.assert_allclose(found[name], expected[name], rtol=1e-9, atol=1e-9)
 
@@ -229,11 +247,6 @@ def bennett() -> Mechanism:
     return Mechanism(links, loops=[loops.AxisLoop("c", "end", "ground", Z)], gravity=(0.0, 0.0, 0.0))
 
 
-@functools.cache
-def bennett_moving() -> Any:
-    return moving(bennett())
-
-
 def bennett_at(angle: float) -> Any:
     ratio = np.sin(0.5 * (BETA + ALPHA)) / np.sin(0.5 * (BETA - ALPHA))
 
@@ -242,7 +255,7 @@ def bennett_at(angle: float) -> Any:
 
     h = 1e-6
     rates = (positions(angle + h) - positions(angle - h)) / h
-    return bennett_moving().project(0.0, {"q": positions(angle), "qd": rates})
+    return moving(bennett()).project(0.0, {"q": positions(angle), "qd": rates})
 
 
 @pytest.mark.parametrize("angle", [0.5, 1e-2, 1e-4, 1e-6, 0.0])
@@ -250,8 +263,8 @@ def test_wrenches_of_bennetts_linkage_about_its_flat_posture(angle: float) -> No
     x = bennett_at(angle)
     length = float(np.mean([A_LENGTH, B_LENGTH, A_LENGTH, np.linalg.norm(bennett().links[-1].mount.value[:3, 3])]))
     qdd, multipliers, rank = by_kkt(bennett(), x, length)
-    found = bennett_moving().outputs(0.0, x)
-    np.testing.assert_allclose(bennett_moving()(0.0, x)["qd"], qdd, rtol=1e-8, atol=1e-10)
+    found = moving(bennett()).outputs(0.0, x)
+    np.testing.assert_allclose(moving(bennett())(0.0, x)["qd"], qdd, rtol=1e-8, atol=1e-10)
     carried = bennett().loops[0].constraint_basis.value @ multipliers
     size = np.linalg.norm(carried)
     np.testing.assert_allclose(np.linalg.norm(found["F"]), size, rtol=1e-6, atol=1e-12)
@@ -260,7 +273,7 @@ def test_wrenches_of_bennetts_linkage_about_its_flat_posture(angle: float) -> No
 
 
 def test_bennetts_linkage_passes_its_flat_posture() -> None:
-    dynamics, x = bennett_moving(), bennett_at(-1.0)
+    dynamics, x = moving(bennett()), bennett_at(-1.0)
     before = float(dynamics.outputs(0.0, x)["energy"])
     end = tx.integrate(dynamics, x, t1=1.0, dt=1e-3).last
     assert float(end["q"][0]) > 0.5
@@ -268,7 +281,7 @@ def test_bennetts_linkage_passes_its_flat_posture() -> None:
 
 
 def test_derivatives_and_batches_at_the_flat_posture() -> None:
-    dynamics, x = bennett_moving(), bennett_at(0.0)
+    dynamics, x = moving(bennett()), bennett_at(0.0)
     outputs = lambda q: dynamics.outputs(0.0, {**x, "q": q})  # noqa: E731
     slopes = jax.jit(jax.jacfwd(outputs))(jnp.asarray(x["q"]))
     assert all(np.isfinite(each).all() for each in jax.tree.leaves(slopes))
@@ -283,7 +296,7 @@ def test_derivatives_and_batches_at_the_flat_posture() -> None:
 
 def test_slopes_are_those_of_differences() -> None:
     """On the manifold, along the motion of the straight linkage: what a wrench does as the crank turns."""
-    dynamics = moving(four_bar(0.0, loops.AxisLoop("c", "pin", "tip", Y)))
+    dynamics = moving(four_bar(STRAIGHT, loops.AxisLoop("c", "pin", "tip", Y)))
     along = start()["qd"]
 
     def wrench(s: Any) -> Any:
@@ -298,7 +311,10 @@ def test_bad_metrics_are_refused(unchecked: None) -> None:
     for call, words in (
         (lambda: loops.Metric(length=0.0), "Metric: length"),
         (lambda: loops.Metric(tolerance=1.0), "Metric: tolerance"),
-        (lambda: four_bar(0.0, loops.PointLoop("c", "pin", "tip"), loop_metric=1e-5), "loop_metric to be of Metric"),
+        (
+            lambda: four_bar(STRAIGHT, loops.PointLoop("c", "pin", "tip"), loop_metric=1e-5),
+            "loop_metric to be of Metric",
+        ),
         (lambda: mechanics.loop_diagnostics(Mechanism(bennett().links)), "expects a mechanism with loops"),
     ):
         with pytest.raises(tx.ModelError, match=words):

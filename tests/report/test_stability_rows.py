@@ -6,8 +6,8 @@ from twistax.report.harness.measurement import MeasuredCase, explained
 from twistax.report.harness.page import texts
 from twistax.report.registry import STABILITY
 
-#: Sections that take long to compile, beside the rows that take long to run.
-SLOW = ("stiff", "single", "jumps", "long", "statuses")
+#: Sections that take long to compile beside tests that see the same errors, and rows that take long to run.
+SLOW = ("stiff", "single", "jumps", "long", "statuses", "events", "masses", "loops")
 CHECKS = [
     pytest.param(
         check,
