@@ -34,6 +34,14 @@ _CONSTANT, _INPUT, _RESULT = "constant", "input", "result"
 class TooLarge(ModelError):
     """A program that is too large for scalars."""
 
+    @classmethod
+    def for_more_than(cls, largest: int) -> TooLarge:
+        """The error for a program of more than so many scalars."""
+        return cls(
+            f"the function takes more than {largest} scalars, too many to unroll.\n"
+            "  fix: compile with backend=tx.JAX(), and differentiate it with jax.jacfwd"
+        )
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class OpaqueCall:
@@ -374,10 +382,7 @@ class ScalarGraph:
         if node is None:
             node = len(self.nodes)
             if node >= self.largest:
-                raise TooLarge(
-                    f"the function takes more than {self.largest} scalars, too many to unroll.\n"
-                    "  fix: compile with backend=tx.JAX(), and differentiate it with jax.jacfwd"
-                )
+                raise TooLarge.for_more_than(self.largest)
             self._known[key] = node
             self.nodes.append(key)
             self.dtypes.append(dtype)
