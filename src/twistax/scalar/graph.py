@@ -66,6 +66,11 @@ class OpaqueCall:
         """The nodes of all arguments."""
         return flat(*self.arguments)
 
+    @functools.cached_property
+    def first(self) -> list[int]:
+        """The node of the first entry of its results, in a list."""
+        return flat(*self.results)[:1]
+
 
 LIMITS = Limits()
 
@@ -308,9 +313,9 @@ class ScalarGraph:
         return self._arguments[node]
 
     def sources(self, node: int) -> Sequence[int]:
-        """The nodes that a node is computed from, those of a call included."""
+        """The nodes that a node is computed from; those of a call for its first result, and this for the others."""
         call = self.call_of(node)
-        return self._arguments[node] if call is None else call.sources
+        return self._arguments[node] if call is None else call.sources if call.first == [node] else call.first
 
     def simplifies_as(self, other: ScalarGraph) -> bool:
         """Whether operations of this graph stay as they are in another one, on the same arguments.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple, TypeAlias
@@ -15,11 +16,13 @@ from ..errors import InputError
 from ..groups import Product
 from ..jax_inside import ClosedJaxpr
 from ..scalar.derivatives import columns_of
-from ..scalar.graph import ScalarGraph, TooLarge
+from ..scalar.graph import LIMITS, ScalarGraph, TooLarge
 from ..scalar.primitives.interface import Nodes, flat
 from ..scalar.program import ScalarProgram
 from ..scalar.reader import JaxprReader, one_by_one, scalarize
 
+#: Of derivatives that are known, products of matrices are loops.
+_LIMITS = dataclasses.replace(LIMITS, products=1000)
 #: The most scalars in a program of derivatives.
 LARGEST = 200_000
 #: Of larger rates the derivatives that are known were always the shorter ones: the others are not tried.
@@ -68,7 +71,7 @@ class RateJacobian:
     """
 
     def __init__(self, problem: Differentiated, known: Known | None = None, largest: int = LARGEST) -> None:
-        program = scalarize(problem.closed, largest=largest)
+        program = scalarize(problem.closed, largest=largest, limits=_LIMITS if known else LIMITS)
         rates, *vectors_of_slopes = program.outputs
         #: The rates alone.
         self.rates = program.restricted([rates])
