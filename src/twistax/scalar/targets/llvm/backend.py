@@ -166,7 +166,9 @@ class KernelRunner:
         """The kernel of a program, for one member or for batches; None where it has no native form."""
         known = _FORMS.pop(program, program)
         try:
-            form = native_form(program, products=True) if known is program else known
+            # Members side by side have more in memory than a loop gains.
+            is_known = known is not program and (single or not known.calls)
+            form = known if is_known else native_form(program, products=single)
         except NotNative:
             return None
         first, *rest = TARGETS[platform].parts(form)
