@@ -171,6 +171,6 @@ def test_they_are_built_when_a_jacobian_needs_them(monkeypatch: pytest.MonkeyPat
 
 def test_they_are_not_built_where_they_take_too_many_scalars(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mechanism_system, "slopes_of_accelerations", lambda *a: pytest.fail("they are built"))
-    functions = tx.compile(chain_models.equal_links(31).system()).functions
+    functions = tx.compile(chain_models.equal_links(30).system()).functions
     with pytest.raises(TooLarge, match="more than 200000 scalars"):
         functions.rate_jacobian(functions.zeros(), ("x", "u"))

@@ -110,6 +110,8 @@ class ScalarGraph:
         #: The number where a node is one, else None.
         self.numbers: list[Any] = []
         self.calls: list[OpaqueCall] = []
+        #: Operations in calls that emitters may write out; they count as nodes.
+        self.inside = 0
         #: The operation of a node; None for numbers, inputs and results of calls. And the nodes that it reads.
         self._operations: list[Operation | None] = []
         self._arguments: list[tuple[int, ...]] = []
@@ -386,7 +388,7 @@ class ScalarGraph:
         node = self._known.get(key)
         if node is None:
             node = len(self.nodes)
-            if node >= self.largest:
+            if node + self.inside >= self.largest:
                 raise TooLarge.for_more_than(self.largest)
             self._known[key] = node
             self.nodes.append(key)

@@ -44,6 +44,7 @@ class Graph(Protocol):
     dtypes: list[np.dtype[Any]]
     numbers: list[Any]
     calls: list[Any]
+    inside: int
 
     def constant(self, value: Any, dtype: np.dtype[Any] | None = None) -> int: ...
     def call(self, jaxpr: ClosedJaxpr, key: Any, arguments: Iterable[Nodes], inline: bool) -> Any: ...

@@ -49,6 +49,7 @@ def columns_in_calls(g: Graph, A: Sequence[Sequence[int]], B: Sequence[Sequence[
         constant = any(all(g.numbers[i] is not None for i in factor) for factor in (left, right))
         if len(columns) < _FEWEST or work < g.limits.products or constant:
             continue
+        g.inside += 2 * work
         shapes = (len(rows), len(inner)), (len(inner), len(columns))
         arguments = [nodes(factor, shape) for factor, shape in zip((left, right), shapes, strict=True)]
         (result,) = g.call(_product(*shapes, g.dtype), PRODUCT, arguments, True).results
