@@ -17,10 +17,13 @@ from oracles import hat
 from twistax import mechanics
 from twistax.expr import leaves_of
 from twistax.mechanics import Drive, Link, Mechanism, SpatialInertia, chain_models, joints, mechanism_system
+from twistax.mechanics.algorithms.system_slopes import scalars_of_slopes
 from twistax.scalar.graph import TooLarge
 from twistax.scalar.program import ScalarProgram
 from twistax.scalar.reader import scalarize
 from twistax.scalar.targets.llvm.kernel_body import by_numpy
+from twistax.system import functions as system_functions
+from twistax.system.jacobian import LARGEST
 
 LONG = np.longdouble
 
@@ -170,7 +173,10 @@ def test_they_are_built_when_a_jacobian_needs_them(monkeypatch: pytest.MonkeyPat
 
 
 def test_they_are_not_built_where_they_take_too_many_scalars(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert 150_000 < scalars_of_slopes(chain_models.equal_links(29)) < LARGEST
+    assert scalars_of_slopes(chain_models.equal_links(30)) > LARGEST
     monkeypatch.setattr(mechanism_system, "slopes_of_accelerations", lambda *a: pytest.fail("they are built"))
-    functions = tx.compile(chain_models.equal_links(30).system()).functions
-    with pytest.raises(TooLarge, match="more than 200000 scalars"):
+    monkeypatch.setattr(system_functions, "LARGEST", 1000)
+    functions = tx.compile(chain_models.equal_links(4).system()).functions
+    with pytest.raises(TooLarge, match="more than 1000 scalars"):
         functions.rate_jacobian(functions.zeros(), ("x", "u"))

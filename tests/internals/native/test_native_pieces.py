@@ -78,7 +78,9 @@ def test_other_functions_are_scheduled_after_a_long_one(monkeypatch: pytest.Monk
 @at_every_width
 @pytest.mark.parametrize("single", [False, True])
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
-def test_products_of_matrices_are_loops(processor: Processor, single: bool, dtype: Any) -> None:
+def test_products_of_matrices_are_loops(
+    processor: Processor, single: bool, dtype: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Two patterns of columns, the factor a triangle, with numbers in the other one, and what is read in sums."""
 
     def product(A: jax.Array, B: jax.Array, s: jax.Array) -> list[jax.Array]:
@@ -96,6 +98,16 @@ def test_products_of_matrices_are_loops(processor: Processor, single: bool, dtyp
     rng = np.random.default_rng(0)
     rows = [rng.normal(size=(11, int(np.prod(s.shape)))).astype(dtype) for s in shapes]
     kernel = HostKernel(Straight(form, 1 if single else processor.lanes(np.dtype(dtype))), processor)
+    arrays = kernel._arrays
+
+    def full(arguments: list[np.ndarray], length: int) -> tuple[int, list[np.ndarray]]:
+        """With ones in the results, so that zeros have to be written."""
+        count, both = arrays(arguments, length)
+        for result in both[len(arguments) :]:
+            result.fill(1.0)
+        return count, both
+
+    monkeypatch.setattr(kernel, "_arrays", full)
     expected = by_numpy(unrolled, rows)
     for found in kernel.run([rows[k] for k in kernel.body.read]), by_numpy(form, rows):
         for values, wanted in zip(found, expected, strict=True):

@@ -82,7 +82,6 @@ class Scratch:
         for block, nodes in self._blocks.items():
             number, latest = max((place.get(i, 0), i) for i in nodes)
             if number in self.products:
-                number += 1  # after the loop
                 after.setdefault(number, []).append(block)
             else:
                 (complete.setdefault(latest, []) if number else at_once).append(block)
