@@ -184,7 +184,7 @@ _seconds = lambda robot, part: _ours(robot, part)[1]  # noqa: E731
 
 MECHANISMS: Section = [
     quick("operations of ABA, Panda", "mechanics.forward_dynamics", at_most(1450), _operations, "Panda"),
-    *_row("compiling dynamics", "tx.Native", (0.4, 1.0, 2.5, 2.0, 4.0), _seconds, "dynamics"),
+    *_row("compiling dynamics", "tx.Native", (0.4, 1.0, 2.5, 2.5, 4.0), _seconds, "dynamics"),
     *_row("compiling derivatives", "tx.Native", (2.0, 5.0, 12.0, 6.0, 12.0), _seconds, "derivatives"),
     *_row("dynamics of ABA, batch of 4,096", "over Pinocchio", (0.05, 0.1, 0.15), _ratio, "dynamics"),
     *_row("derivatives of ABA, batch of 4,096", "over Pinocchio", (0.1, 0.25, 0.5), _ratio, "derivatives"),
