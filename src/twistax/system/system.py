@@ -59,7 +59,7 @@ class System(Composable):
         labels: by state or control, a pair of name and unit for each entry.
         slopes: analytical derivatives of rates, for `Dynamics.jacobian`: for a state, pairs (argument, derivative). The
             argument is a state, for a derivative with respect to right perturbations, or any vector; dependence through
-            this argument is not differentiated again. `SlopesOnDemand` are built at their first use.
+            this argument is not differentiated again.
 
     Attributes:
         states, controls, parameters, noises: tuples of leaves in order.
