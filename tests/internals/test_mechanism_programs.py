@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Mapping
 from typing import Any
 
@@ -15,10 +16,14 @@ import twistax as tx
 from oracles import hat
 from twistax import mechanics
 from twistax.expr import leaves_of
-from twistax.mechanics import Drive, Link, Mechanism, SpatialInertia, joints
+from twistax.mechanics import Drive, Link, Mechanism, SpatialInertia, chain_models, joints, mechanism_system
+from twistax.mechanics.algorithms.system_slopes import scalars_of_slopes
+from twistax.scalar.graph import TooLarge
 from twistax.scalar.program import ScalarProgram
 from twistax.scalar.reader import scalarize
 from twistax.scalar.targets.llvm.kernel_body import by_numpy
+from twistax.system import functions as system_functions
+from twistax.system.jacobian import LARGEST
 
 LONG = np.longdouble
 
@@ -148,3 +153,30 @@ def test_systems_use_them(unchecked: None) -> None:
     assert operations[0] < 0.9 * operations[1]
     for kind in wrt:
         np.testing.assert_allclose(found[0][kind], found[1][kind], atol=1e-11 * np.max(np.abs(found[1][kind])))
+
+
+def test_they_are_built_when_a_jacobian_needs_them(monkeypatch: pytest.MonkeyPatch, unchecked: None) -> None:
+    made, build = list[tx.Expr](), mechanism_system.slopes_of_accelerations
+    monkeypatch.setattr(mechanism_system, "slopes_of_accelerations", lambda *a: made.append(a[1]) or build(*a))
+    system = craft()
+    functions = tx.compile(tx.join(system, tx.System(rates={tx.State("s"): 0.0})).renamed("one_")).functions
+    assert not made
+    assert list(functions.slopes) == ["one_qd"]
+    again = pickle.loads(pickle.dumps(system))
+    keys = [[expr.key() for pair in one.slopes["qd"] for expr in pair] for one in (system, again)]
+    assert keys[0] == keys[1]
+    assert len(made) == 1
+    # Those of a compiled system contain its simplified accelerations.
+    functions = tx.compile(system).functions
+    assert functions.slopes
+    assert made[1] is functions.families["rates"]["qd"][0]
+
+
+def test_they_are_not_built_where_they_take_too_many_scalars(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert 150_000 < scalars_of_slopes(chain_models.equal_links(29)) < LARGEST
+    assert scalars_of_slopes(chain_models.equal_links(30)) > LARGEST
+    monkeypatch.setattr(mechanism_system, "slopes_of_accelerations", lambda *a: pytest.fail("they are built"))
+    monkeypatch.setattr(system_functions, "LARGEST", 1000)
+    functions = tx.compile(chain_models.equal_links(4).system()).functions
+    with pytest.raises(TooLarge, match="more than 1000 scalars"):
+        functions.rate_jacobian(functions.zeros(), ("x", "u"))

@@ -93,9 +93,11 @@ class KinematicTree:
         """
         carrying = {segment.before for segment in self.segments}
         for i, segment in enumerate(self.segments):
-            H, M = segment.link.joint.motion_subspace, None if segment.body is None else segment.body.known_matrix
-            aided = segment.link.drive.rotor is not None or segment.link.mimic is not None or i in carrying
-            if aided or M is None or not isinstance(H, Constant):
+            H, drive = segment.link.joint.motion_subspace, segment.link.drive
+            aided = drive.rotor is not None or segment.link.mimic is not None or i in carrying
+            if aided or segment.body is None or not isinstance(H, Constant):
+                continue
+            if (M := segment.body.known_matrix) is None:
                 continue
             least = np.linalg.eigvalsh(H.value.T @ M @ H.value).min(initial=np.inf)
             if least <= _ROUND_OFF * max(np.trace(M[3:, 3:]), np.finfo(float).tiny):

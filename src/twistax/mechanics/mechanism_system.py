@@ -16,11 +16,12 @@ from ..expr.fields import ExprLike
 from ..expr.operations.soft import Asked
 from ..expr.transformations.rate import rates_by_name
 from ..system import System
+from ..system.declared import Slopes, SlopesOnDemand
 from ..system.system import constraints_by_name
 from .algorithms.closed_loops import ClosedLoops
 from .algorithms.dynamics import Wrenches, inverse_dynamics
 from .algorithms.forward_dynamics import forward_dynamics
-from .algorithms.system_slopes import slopes_of_accelerations
+from .algorithms.system_slopes import moves_itself, scalars_of_slopes, slopes_of_accelerations
 from .kinematic_tree import KinematicTree
 from .labels import labels_of
 from .tree import Segment
@@ -56,7 +57,6 @@ def system_of(
         callable_with("system: outputs", outputs, ["qdd", "tau"], ModelError)
         outputs = outputs(accelerations, total)
     corrections: dict[Any, Expr] = {}
-    slopes = None if mechanism.loops else slopes_of_accelerations(mechanism, total, wrenches)
     if mechanism.loops:
         moved, sped = ClosedLoops(mechanism).corrections
         corrections = {**kinematics(mechanism, places, moved), mechanism.qd: sped}
@@ -67,12 +67,18 @@ def system_of(
             f"system expects rates of additional states, got {listed(twice)}, which the mechanism determines.\n"
             "  fix: pass forces in forces= or wrenches="
         )
+
+    def slopes(rates: Mapping[str, Expr]) -> Slopes:
+        qdd = rates[mechanism.qd.name]
+        return {mechanism.qd: slopes_of_accelerations(mechanism, qdd, total, wrenches)}
+
+    known = not mechanism.loops and not moves_itself(mechanism)
     return System(
         rates={**motion, **(rates or {})},
         outputs=outputs,
         constraints=constraints,
         corrections=corrections,
-        slopes={mechanism.qd: slopes} if slopes else None,
+        slopes=SlopesOnDemand(slopes, scalars_of_slopes(mechanism)) if known else None,
         labels=labels_of(mechanism, driven if command is not None else []),
     )
 

@@ -34,6 +34,14 @@ _CONSTANT, _INPUT, _RESULT = "constant", "input", "result"
 class TooLarge(ModelError):
     """A program that is too large for scalars."""
 
+    @classmethod
+    def for_more_than(cls, largest: int) -> TooLarge:
+        """The error for a program of more than so many scalars."""
+        return cls(
+            f"the function takes more than {largest} scalars, too many to unroll.\n"
+            "  fix: compile with backend=tx.JAX(), and differentiate it with jax.jacfwd"
+        )
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class OpaqueCall:
@@ -57,6 +65,11 @@ class OpaqueCall:
     def sources(self) -> list[int]:
         """The nodes of all arguments."""
         return flat(*self.arguments)
+
+    @functools.cached_property
+    def first(self) -> list[int]:
+        """The node of the first entry of its results, in a list."""
+        return flat(*self.results)[:1]
 
 
 LIMITS = Limits()
@@ -97,6 +110,8 @@ class ScalarGraph:
         #: The number where a node is one, else None.
         self.numbers: list[Any] = []
         self.calls: list[OpaqueCall] = []
+        #: Operations in calls that emitters may write out; they count as nodes.
+        self.inside = 0
         #: The operation of a node; None for numbers, inputs and results of calls. And the nodes that it reads.
         self._operations: list[Operation | None] = []
         self._arguments: list[tuple[int, ...]] = []
@@ -300,9 +315,9 @@ class ScalarGraph:
         return self._arguments[node]
 
     def sources(self, node: int) -> Sequence[int]:
-        """The nodes that a node is computed from, those of a call included."""
+        """The nodes that a node is computed from; those of a call for its first result, and this for the others."""
         call = self.call_of(node)
-        return self._arguments[node] if call is None else call.sources
+        return self._arguments[node] if call is None else call.sources if call.first == [node] else call.first
 
     def simplifies_as(self, other: ScalarGraph) -> bool:
         """Whether operations of this graph stay as they are in another one, on the same arguments.
@@ -373,11 +388,8 @@ class ScalarGraph:
         node = self._known.get(key)
         if node is None:
             node = len(self.nodes)
-            if node >= self.largest:
-                raise TooLarge(
-                    f"the function takes more than {self.largest} scalars, too many to unroll.\n"
-                    "  fix: compile with backend=tx.JAX(), and differentiate it with jax.jacfwd"
-                )
+            if node + self.inside >= self.largest:
+                raise TooLarge.for_more_than(self.largest)
             self._known[key] = node
             self.nodes.append(key)
             self.dtypes.append(dtype)

@@ -30,6 +30,7 @@ from ..jax_inside import (
 )
 from .graph import LIMITS, OpaqueCall, ScalarGraph
 from .primitives.interface import Limits, Nodes, flat, nodes
+from .primitives.matrix_products import stays_call
 from .primitives.piecewise_constant import piecewise_constant
 from .primitives.table import OPERATIONS, WHERE, entry_of, say_unread
 from .program import ScalarProgram
@@ -156,8 +157,7 @@ class JaxprReader:
             if call is not None:
                 if id(call) not in done:
                     done.add(id(call))
-                    self._copy_call(call, known)
-                    simple = False
+                    simple = self._copy_call(call, known) and simple
             elif operation is None:
                 known[i] = new.constant(old.numbers[i], old.dtypes[i])
             else:
@@ -172,14 +172,16 @@ class JaxprReader:
                 else:
                     known[i] = operation.on(new)(*arguments)
 
-    def _copy_call(self, call: OpaqueCall, known: dict[int, int]) -> None:
+    def _copy_call(self, call: OpaqueCall, known: dict[int, int]) -> bool:
+        """Add what a call does; gives whether it stays a call."""
         arguments = [renamed(known, array) for array in call.arguments]
-        # A call that was too large to unroll may fit a graph with larger limits.
-        if not self.keeps_calls and (call.inline or self.graph.limits != LIMITS):
-            results = self.read(call.jaxpr, arguments)
-        else:
+        kept = self.keeps_calls or stays_call(call, self.graph.limits)
+        if kept:
             results = list(self.graph.call(call.jaxpr, call.key, arguments, call.inline).results)
+        else:
+            results = self.read(call.jaxpr, arguments)
         known.update(zip(flat(*call.results), flat(*results), strict=True))
+        return kept
 
     def _equation(self, eqn: Any, arrays: list[Nodes]) -> list[Nodes]:
         entry, scalars = entry_of(eqn), None
@@ -295,7 +297,9 @@ def emitted_form(program: ScalarProgram, limits: Limits = LIMITS) -> ScalarProgr
     Args:
         limits: the sizes up to which parts are unrolled; larger for emitters that cannot call a library.
     """
-    unrolled = program.calls or any(o.written for i in program.live if (o := program.graph.operation(i)) is not None)
+    operations = map(program.graph.operation, program.live)
+    written = any(operation.written for operation in operations if operation is not None)
+    unrolled = written or not all(stays_call(call, limits) for call in program.calls)
     expanded = rebuilt(program, set(), keep_calls=False, limits=limits) if unrolled else program
     if program.graph.checked:
         return expanded

@@ -13,6 +13,7 @@ from ..expr.graph import with_facts
 from ..expr.kinds.declare import kind_of, renamed_frames
 from ..expr.operations.soft import Soft
 from ..expr.orders import bodies
+from .declared import Slopes, SlopesOnDemand
 
 
 class Composable:
@@ -139,6 +140,10 @@ def arguments_of(
         now = [exchange.get(leaf.key(), leaf) for leaf in of_kind]
         return [new for old, new in zip(of_kind, now, strict=True) if type(new) is type(old)]
 
+    def slopes(_: Mapping[str, Expr]) -> Slopes:
+        known = system.slopes.items()
+        return {name(key): [(swapped(by), swapped(slope)) for by, slope in pairs] for key, pairs in known}
+
     return {
         "rates": {exchange.get(s.key(), s): swapped(system.rates[s.name]) for s in system.states},
         "outputs": {name(key): swapped(expr) for key, expr in system.outputs.items()},
@@ -148,8 +153,6 @@ def arguments_of(
         "corrections": {name(key): swapped(expr) for key, expr in system.corrections.items()},
         "controls": leaves(system.controls),
         "parameters": leaves(system.parameters),
-        "slopes": {
-            name(key): [(swapped(by), swapped(slope)) for by, slope in pairs] for key, pairs in system.slopes.items()
-        },
+        "slopes": SlopesOnDemand(slopes, system.scalars_of_slopes),
         "labels": {name(key): pairs for key, pairs in system.labels.items()},
     }

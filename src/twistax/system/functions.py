@@ -13,7 +13,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..errors import InputError
 from ..expr import Control, Equality, Expr, Inputs, Parameter, State, evaluate_all, leaves_of, postorder
 from ..expr.functions.function import Call
 from ..jax_inside import is_traced
@@ -25,7 +24,7 @@ from ..scalar.small_call import no_small_call
 from ..scalar.walk import uncollected
 from .expressions import canonical, chosen_outputs, constants_of, silent
 from .inputs import CallArguments, Values
-from .jacobian import Differentiated, Places, RateJacobian, blocks_in_arrays, fewer
+from .jacobian import LARGEST, Differentiated, Places, RateJacobian, blocks_in_arrays, check_kinds, fewer
 from .repeat import copies_in_a_kernel
 from .system import System, entry_names
 
@@ -177,8 +176,14 @@ class Functions:
 
     @functools.cached_property
     def slopes(self) -> dict[str, list[tuple[Expr, Expr]]]:
-        """The declared derivatives of rates, simplified: by state, pairs of an argument and a matrix."""
-        known = [(name, pair) for name, pairs in self.system.slopes.items() for pair in pairs]
+        """The declared derivatives of rates, simplified: by state, pairs of an argument and a matrix.
+
+        Raises: TooLarge, before they are built, where they take too many scalars.
+        """
+        if self.system.scalars_of_slopes > LARGEST:
+            raise TooLarge.for_more_than(LARGEST)
+        built = self.system.slopes_with({name: rate for name, (rate,) in self.families["rates"].items()})
+        known = [(name, pair) for name, pairs in built.items() for pair in pairs]
         flat = {f"{k} {part}": expr for k, (_, pair) in enumerate(known) for part, expr in enumerate(pair)}
         simple, slopes = canonical(flat, self._constants) if flat else {}, dict[str, list[tuple[Expr, Expr]]]()
         for k, (name, _) in enumerate(known):
@@ -382,15 +387,6 @@ def _for_calls(functions: Functions) -> Callable[..., Arrays]:
 
 def _by_program(kinds: Sequence[str], program: Derived, *arrays: jax.Array) -> Arrays:
     return dict(zip(kinds, call_program(program, *arrays), strict=True))
-
-
-def check_kinds(wrt: tuple[str, ...]) -> None:
-    """Raise InputError unless all entries are "x", "u" or "params", each at most once."""
-    for kind in wrt:
-        if kind not in ("x", "u", "params"):
-            raise InputError(f"wrt expects names out of 'x', 'u' and 'params', got {kind!r}")
-    if len(set(wrt)) < len(wrt):
-        raise InputError(f"wrt expects each of 'x', 'u' and 'params' once, got {wrt}")
 
 
 def _names(*roots: list[Expr]) -> set[str]:

@@ -26,9 +26,9 @@ from ..scalar.jax_primitive import call_program
 from ..scalar.primitives.interface import Nodes, flat
 from ..scalar.program import ScalarProgram
 from ..scalar.reader import JaxprReader, one_by_one, scalarize
-from .functions import Functions, Places, check_kinds
+from .functions import Functions, Places
 from .inputs import Values, read_values
-from .jacobian import Differentiated, along, tangents_of
+from .jacobian import Differentiated, along, check_kinds, tangents_of
 
 #: What comes of functions without a Hessian on the graph: too many scalars, or a call of JAX lacks one derivative.
 REFUSALS = (TooLarge, TypeError, ValueError, NotImplementedError)

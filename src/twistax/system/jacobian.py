@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple, TypeAlias
@@ -11,20 +12,34 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import InputError
 from ..groups import Product
 from ..jax_inside import ClosedJaxpr
 from ..scalar.derivatives import columns_of
-from ..scalar.graph import ScalarGraph, TooLarge
+from ..scalar.graph import LIMITS, ScalarGraph, TooLarge
 from ..scalar.primitives.interface import Nodes, flat
 from ..scalar.program import ScalarProgram
 from ..scalar.reader import JaxprReader, one_by_one, scalarize
 
+#: Of derivatives that are known, products of matrices are loops.
+_LIMITS = dataclasses.replace(LIMITS, products=1000)
+#: The most scalars in a program of derivatives.
+LARGEST = 200_000
 #: Of larger rates the derivatives that are known were always the shorter ones: the others are not tried.
 _SMALL = 1000
 
 
 #: What arguments are: ("t", "t"), then "x", "u" or "params" with a name.
 Places: TypeAlias = Sequence[tuple[str, str]]
+
+
+def check_kinds(wrt: tuple[str, ...]) -> None:
+    """Raise InputError unless all entries are "x", "u" or "params", each at most once."""
+    for kind in wrt:
+        if kind not in ("x", "u", "params"):
+            raise InputError(f"wrt expects names out of 'x', 'u' and 'params', got {kind!r}")
+    if len(set(wrt)) < len(wrt):
+        raise InputError(f"wrt expects each of 'x', 'u' and 'params' once, got {wrt}")
 
 
 class Differentiated(NamedTuple):
@@ -55,8 +70,8 @@ class RateJacobian:
         TooLarge: the program has more scalars.
     """
 
-    def __init__(self, problem: Differentiated, known: Known | None = None, largest: int = 200_000) -> None:
-        program = scalarize(problem.closed, largest=largest)
+    def __init__(self, problem: Differentiated, known: Known | None = None, largest: int = LARGEST) -> None:
+        program = scalarize(problem.closed, largest=largest, limits=_LIMITS if known else LIMITS)
         rates, *vectors_of_slopes = program.outputs
         #: The rates alone.
         self.rates = program.restricted([rates])

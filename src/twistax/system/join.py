@@ -15,7 +15,8 @@ from ..expr import Constraint, Control, Expr, Leaf, Parameter, Stack, State, lea
 from ..expr.fields import ExprLike
 from ..expr.operations.soft import Asked, Soft, parts_of
 from .composable import arguments_of, exchanged, named_leaves
-from .system import System, name_of
+from .declared import SlopesOnDemand, name_of
+from .system import System
 
 
 def join(
@@ -59,8 +60,15 @@ def join(
     exchange = _resolved(links, leaves)
     parts = [_part(system, links, exchange) for system in systems]
     merged: dict[str, Any] = {
-        key: {n: e for part in parts for n, e in part[key].items()} for key in parts[0] if key not in _LISTS
+        key: {n: e for part in parts for n, e in part[key].items()}
+        for key in parts[0]
+        if key not in (*_LISTS, "slopes")
     }
+    slopes: list[SlopesOnDemand] = [part["slopes"] for part in parts]
+    merged["slopes"] = SlopesOnDemand(
+        lambda rates: {name: pairs for one in slopes for name, pairs in one.make(rates).items()},
+        sum(one.scalars for one in slopes),
+    )
     limits = {key: c for name in links if isinstance(leaf := leaves[name], Control) for key, c in _limits(leaf)}
     further = {"outputs": dict(outputs or {}), "constraints": {**limits, **(constraints or {})}}
     for family, new in further.items():
@@ -169,7 +177,7 @@ def _part(system: System, links: Mapping[str, Expr], exchange: Mapping[str, Expr
     part["parameters"] = [leaf for leaf in system.parameters if leaf.name not in links]
     part["labels"] = {name: pairs for name, pairs in part["labels"].items() if name not in links}
     if any(leaf.name in links for leaf in system.parameters):
-        part["slopes"] = {}  # they are at fixed parameters
+        part["slopes"] = SlopesOnDemand(lambda _: {})  # they are at fixed parameters
     return part
 
 

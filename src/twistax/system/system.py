@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Container, Iterable, Mapping, Sequence
 from html import escape
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -25,7 +26,6 @@ from ..expr import (
     leaves_of,
     postorder,
     refuse_conditions,
-    to_expr,
 )
 from ..expr.fields import ExprLike, freeze
 from ..expr.operations.comparisons import ConstraintSet
@@ -37,12 +37,10 @@ from ..expr.printing.text import name_latex
 from ..expr.transformations.vmap import no_elements
 from ..groups import Product
 from .composable import Composable
-from .finite import need_finite
+from .declared import KnownSlopes, Slopes, SlopesOnDemand, checked_slopes, expression_at, name_of, need_finite
 from .labels import Labels, checked_labels
 
 L = TypeVar("L", bound=Leaf)
-#: Of a state: pairs of what its rate depends on and the derivative by it.
-Slopes: TypeAlias = Mapping[State | str, Iterable[tuple[ExprLike, ExprLike]]]
 
 
 class System(Composable):
@@ -89,7 +87,7 @@ class System(Composable):
         corrections: Mapping[State | str, ExprLike] | None = None,
         controls: Iterable[Control] | None = None,
         parameters: Iterable[Parameter] | None = None,
-        slopes: Slopes | None = None,
+        slopes: Slopes | SlopesOnDemand | None = None,
         labels: Labels | None = None,
     ) -> None:
         if not isinstance(rates, Mapping) or not rates:
@@ -99,15 +97,15 @@ class System(Composable):
             raise ModelError(f"outputs must be a dict from names to expressions, got {type(outputs).__name__}")
         for name in (name for name in outputs or () if not isinstance(name, str)):
             raise ModelError(f"outputs must be a dict from names to expressions, got the name {name!r}")
-        expressions = {key: _expression(f"rates[{name_of(key)!r}]", rate) for key, rate in rates.items()}
-        self.outputs: dict[str, Expr] = {n: _expression(f"outputs[{n!r}]", e) for n, e in (outputs or {}).items()}
+        expressions = {key: expression_at(f"rates[{name_of(key)!r}]", rate) for key, rate in rates.items()}
+        self.outputs: dict[str, Expr] = {n: expression_at(f"outputs[{n!r}]", e) for n, e in (outputs or {}).items()}
         named = constraints_by_name(constraints)
         self.soft = {name: constraint for name, constraint in named.items() if isinstance(constraint, Soft)}
         self.constraints: dict[str, Constraint] = {name: hard(constraint) for name, constraint in named.items()}
         if corrections is not None and not isinstance(corrections, Mapping):
             raise ModelError(f"corrections must be a dict from states to expressions, got {short(corrections)}")
         self.corrections: dict[str, Expr] = {
-            name_of(key): _expression(f"corrections[{name_of(key)!r}]", e) for key, e in (corrections or {}).items()
+            name_of(key): expression_at(f"corrections[{name_of(key)!r}]", e) for key, e in (corrections or {}).items()
         }
         self._roots: dict[str, Expr] = {
             **{f"corrections[{name!r}]": expr for name, expr in self.corrections.items()},
@@ -129,7 +127,11 @@ class System(Composable):
         self.group = Product({state.name: state.group for state in self.states})
         self._check_shapes()
         self._check_corrections()
-        self.slopes = self._known_slopes(slopes or {})
+        if isinstance(slopes, SlopesOnDemand):
+            self._slopes = slopes
+        else:
+            self._slopes = SlopesOnDemand(lambda _: slopes or {})
+            self.slopes = self.slopes_with(self.rates)  # checked at once
         self.labels = checked_labels(labels, (*self.states, *self.controls))
         rate_of = {state: self.rates[state.name] for state in self.states}
         check_orders(self._roots, rate_of)
@@ -174,43 +176,28 @@ class System(Composable):
         lines = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
         return f"<table>{lines}</table>{mathml(self.latex())}"
 
+    @functools.cached_property
+    def slopes(self) -> KnownSlopes:
+        """The analytical derivatives of rates: by state, pairs of an argument and a matrix."""
+        return self.slopes_with(self.rates)
+
+    def slopes_with(self, rates: Mapping[str, Expr]) -> KnownSlopes:
+        """`slopes`, built on other expressions of the rates, such as simplified ones."""
+        leaves = {leaf.name for leaf in (*self.states, *self.controls, *self.parameters)}
+        return checked_slopes(self._slopes.make(rates), self.group, leaves)
+
+    @property
+    def scalars_of_slopes(self) -> int:
+        """The number of scalars that a program with `slopes` takes at least; zero where it is not known."""
+        return self._slopes.scalars
+
     def __getstate__(self) -> Any:
-        return pack(self.__dict__)
+        return pack({**self.__dict__, "slopes": self.slopes, "_slopes": self.scalars_of_slopes})
 
     def __setstate__(self, state: Any) -> None:
         self.__dict__.update(unpack(*state))
-
-    def _known_slopes(self, slopes: Slopes) -> dict[str, tuple[tuple[Expr, Expr], ...]]:
-        """The given derivatives, checked: shapes, and leaves of the system."""
-        if not isinstance(slopes, Mapping):
-            raise ModelError(f"slopes must be a dict from states to pairs, got {type(slopes).__name__}")
-        groups, checked = self.group.factors, dict[str, tuple[tuple[Expr, Expr], ...]]()
-        known = {leaf.name for leaf in (*self.states, *self.controls, *self.parameters)}
-        for key, pairs in slopes.items():
-            name = name_of(key)
-            place = f"slopes[{name!r}]"
-            if name not in groups:
-                raise ModelError(f"slopes names {name!r}, which has no rate; it expects one of {listed(groups, name)}")
-            pairs_of_state = list(pairs) if isinstance(pairs, Iterable) else [pairs]
-            if not all(isinstance(pair, (tuple, list)) and len(pair) == 2 for pair in pairs_of_state):
-                raise ModelError(f"{place} expects pairs (argument, derivative), got {short(pairs_of_state)}")
-            checked[name] = tuple((_expression(place, by), _expression(place, slope)) for by, slope in pairs_of_state)
-            for by, slope in checked[name]:
-                if not isinstance(by, State) and by.ndim != 1:
-                    raise ShapeError(
-                        f"{place} expects derivatives with respect to a state or a vector, got one with "
-                        f"respect to shape {by.shape}"
-                    )
-                for leaf in leaves_of(by, slope):
-                    if isinstance(leaf, (State, Control, Parameter)) and leaf.name not in known:
-                        raise ModelError(f"{place} reads {leaf.name!r}, which the system does not have")
-                wanted = (groups[name].dimension, groups[by.name].dimension if isinstance(by, State) else by.shape[0])
-                if slope.shape != wanted:
-                    raise ShapeError(
-                        f"{place} expects shape {wanted} for the derivative with respect to {short(by)}, "
-                        f"got {slope.shape}"
-                    )
-        return checked
+        known, scalars = self.slopes, self.__dict__.get("_slopes", 0)  # pickles of earlier versions have none
+        self._slopes = SlopesOnDemand(lambda _: known, scalars)
 
     def _place(self, leaf: Leaf) -> str:
         """Where a leaf is first used."""
@@ -305,21 +292,9 @@ def _kind(leaf: Leaf) -> str:
     return f"{type(leaf).__name__} of shape {leaf.shape}"
 
 
-def name_of(key: Any) -> str:
-    """The name of a leaf, or the name itself."""
-    return key if isinstance(key, str) else getattr(key, "name", repr(key))
-
-
 def entry_names(name: str, shape: tuple[int, ...]) -> list[str]:
     """The name of every entry, row by row: "h" for a scalar, "V[0]", ... for a vector, "J[0, 1]" for a matrix."""
     return [f"{name}{list(at) if at else ''}" for at in np.ndindex(*shape)]
-
-
-def _expression(place: str, value: ExprLike) -> Expr:
-    try:
-        return to_expr(value)
-    except ModelError as error:
-        raise ModelError(f"{place}: {error}") from None
 
 
 def free_name(text: str, taken: Container[str]) -> str:

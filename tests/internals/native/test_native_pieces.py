@@ -13,10 +13,11 @@ pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 
 from native_programs import at_every_width
 
+from twistax.scalar.primitives.interface import Limits
 from twistax.scalar.reader import scalarize
 from twistax.scalar.targets.llvm import machine_code, pieces
 from twistax.scalar.targets.llvm.kernel import HostKernel
-from twistax.scalar.targets.llvm.kernel_body import Straight, native_form
+from twistax.scalar.targets.llvm.kernel_body import Straight, by_numpy, native_form
 from twistax.scalar.targets.llvm.machine_code import Processor, compiled
 
 
@@ -72,3 +73,43 @@ def test_other_functions_are_scheduled_after_a_long_one(monkeypatch: pytest.Monk
     assert given == ["-enable-misched=true"] * 2 * known
     compiled(text, Processor.host(), long=True)
     assert given[2:] == ["-enable-misched=false", "-enable-misched=true"] * known
+
+
+@at_every_width
+@pytest.mark.parametrize("single", [False, True])
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_products_of_matrices_are_loops(
+    processor: Processor, single: bool, dtype: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two patterns of columns, the factor a triangle, with numbers in the other one, and what is read in sums."""
+
+    def product(A: jax.Array, B: jax.Array, s: jax.Array) -> list[jax.Array]:
+        A, late = jnp.tril(A), np.arange(9)[:, None] > 2 * (np.arange(23) > 9)
+        B = jnp.where(late, B * s, 0.0).at[3].set(2.0)
+        C = A @ (A.T @ B)
+        return [C - B, C[:3], jnp.sin(s) * C[0, 0], jnp.zeros((2, 9))]
+
+    shapes = [jax.ShapeDtypeStruct(shape, dtype) for shape in ((9, 9), (9, 23), ())]
+    program = scalarize(product, *shapes, limits=Limits(products=100))
+    form, unrolled = native_form(program, products=True), native_form(program)
+    assert len(form.calls) == 3
+    assert not unrolled.calls
+    assert form.operations < 0.1 * unrolled.operations == 0.1 * scalarize(product, *shapes).operations
+    rng = np.random.default_rng(0)
+    rows = [rng.normal(size=(11, int(np.prod(s.shape)))).astype(dtype) for s in shapes]
+    kernel = HostKernel(Straight(form, 1 if single else processor.lanes(np.dtype(dtype))), processor)
+    arrays = kernel._arrays
+
+    def full(arguments: list[np.ndarray], length: int) -> tuple[int, list[np.ndarray]]:
+        """With ones in the results, so that zeros have to be written."""
+        count, both = arrays(arguments, length)
+        for result in both[len(arguments) :]:
+            result.fill(1.0)
+        return count, both
+
+    monkeypatch.setattr(kernel, "_arrays", full)
+    expected = by_numpy(unrolled, rows)
+    for found in kernel.run([rows[k] for k in kernel.body.read]), by_numpy(form, rows):
+        for values, wanted in zip(found, expected, strict=True):
+            size = 50 * np.finfo(dtype).eps * max(1.0, np.abs(wanted).max())
+            np.testing.assert_allclose(values, wanted, rtol=0.0, atol=size)

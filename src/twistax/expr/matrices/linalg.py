@@ -25,7 +25,7 @@ class Transpose(Expr):
 
     operand: Operand
     kinds = rules.TRANSPOSE
-    by_operators = True
+    by_operators = by_values = True
     formula = r"{<0:60>}^{\top}"
     cases = ({"operand": np.arange(6.0).reshape(2, 3)}, {"operand": np.arange(12.0).reshape(2, 2, 3)})
 
@@ -222,6 +222,7 @@ class Dot(Expr):
 
     kinds = rules.MATRIX_PRODUCT
     of_numbers = True
+    by_values = True
     left: Operand
     right: Operand
     precedence = 20
@@ -291,6 +292,7 @@ class Outer(Expr):
 
     kinds = rules.OUTER
     of_numbers = True
+    by_values = True
     left: Operand
     right: Operand
     precedence = 20

@@ -195,6 +195,7 @@ class Block(Expr):
 
     entries: Operands
     columns: int
+    by_values = True
     kinds = array_rules.PIECES
     cases = (
         (
@@ -280,7 +281,7 @@ class Index(Expr):
     base: Operand
     index: Any
     kinds = array_rules.PART
-    by_operators = True
+    by_operators = by_values = True
     cases = (
         (lambda cls, m: m[1:, 2], {"m": np.arange(12.0).reshape(3, 4)}),
         (lambda cls, m: m[-1], {"m": np.arange(12.0).reshape(3, 4)}),

@@ -112,6 +112,18 @@ def forward_dynamics_derivatives(
             f"{owner} expects a tree, got one with closed loops.\n  fix: use tx.compile(mechanism.system()).jacobian"
         )
     qdd = forward_dynamics(checked(owner, mechanism), q, qd, tau, wrenches=wrenches)
+    return acceleration_derivatives(owner, mechanism, q, qd, qdd, wrenches)
+
+
+def acceleration_derivatives(
+    owner: str,
+    mechanism: KinematicTree,
+    q: Positions | None,
+    qd: ExprLike | None,
+    qdd: Expr,
+    wrenches: Wrenches | None,
+) -> AccelerationDerivatives:
+    """The result of `forward_dynamics_derivatives` for known accelerations qdd (n,)."""
     perturbed = _Perturbed(owner, mechanism, q, qd, qdd, wrenches)
     by_q, by_qd = perturbed.by_motion()
     M, n = perturbed.mass_matrix, mechanism.dofs

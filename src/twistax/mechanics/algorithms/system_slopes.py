@@ -9,21 +9,26 @@ from ...expr.fields import ExprLike
 from ..joints import Joint
 from ..kinematic_tree import KinematicTree
 from ..tree import Segment
-from .derivatives import forward_dynamics_derivatives
+from .derivatives import acceleration_derivatives
 from .dynamics import Wrenches
 from .jacobians import BODY, frame_jacobian
 
 
+def moves_itself(mechanism: KinematicTree) -> bool:
+    """Whether masses or lengths depend on states or controls."""
+    return any(isinstance(leaf, (State, Control)) for leaf in leaves_of(*_numbers(mechanism)))
+
+
 def slopes_of_accelerations(
-    mechanism: KinematicTree, forces: Expr, wrenches: Wrenches | None
+    mechanism: KinematicTree, qdd: Expr, forces: Expr, wrenches: Wrenches | None
 ) -> list[tuple[ExprLike, ExprLike]]:
     """The derivatives of `forward_dynamics` with respect to positions, velocities, joint forces and wrenches.
 
-    The list is empty if masses or lengths depend on states or controls.
+    Args:
+        qdd: its result (n,).
+        forces: those on which it depends (n,).
     """
-    if any(isinstance(leaf, (State, Control)) for leaf in leaves_of(*_numbers(mechanism))):
-        return []
-    derivatives = forward_dynamics_derivatives(mechanism, tau=forces, wrenches=wrenches)
+    derivatives = acceleration_derivatives("system", mechanism, None, None, qdd, wrenches)
     q, vector = mechanism.q, list[Expr]()
     slopes: list[tuple[ExprLike, ExprLike]] = []
     for segment, place in zip(mechanism.segments, mechanism.positions("system", None), strict=True):
@@ -41,6 +46,23 @@ def slopes_of_accelerations(
     for frame, wrench in (wrenches or {}).items():
         slopes.append((wrench, derivatives.tau @ frame_jacobian(mechanism, frame, axes=BODY).T))
     return slopes
+
+
+def scalars_of_slopes(mechanism: KinematicTree) -> int:
+    """The number of scalars in a program of these derivatives, nearly: of pairs and triples of degrees of freedom that
+    act on one another, and a tenth for the rest.
+    """
+    places = [i for i, segment in enumerate(mechanism.segments) for _ in segment.freedoms]
+    reached = np.eye(len(mechanism.segments), dtype=bool)
+    for i, segment in enumerate(mechanism.segments):
+        if segment.before >= 0:
+            reached[i] |= reached[segment.before]
+    before = reached[np.ix_(places, places)].astype(int)  # row i has the degrees of freedom from the base to i
+    related, depth = (before + before.T > 0).astype(int), before.sum(1)
+    # The derivatives of forces and the mass matrix; the factor V of its inverse, and V V'; V (V' H) of both.
+    return int(
+        1.1 * (78 * depth.sum() + 3 * (depth**2).sum() + (before @ before.T).sum() + 8 * (before @ related).sum())
+    )
 
 
 def _by_coordinates(segment: Segment, place: Expr, columns: Expr) -> Expr:

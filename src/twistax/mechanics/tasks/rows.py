@@ -15,7 +15,7 @@ from ...checks import listed, short
 from ...errors import ModelError, ShapeError
 from ...expr import Concat, Constant, Control, Expr, Leaf, Parameter, State, Time, Vstack, leaves_of
 from ...expr.operations.comparisons import Constraint, Inequality
-from ...system.finite import need_finite
+from ...system.declared import need_finite
 from ...system.lower import lower
 from ...system.system import constraints_by_name
 from .configuration_space import Arrays, ConfigurationSpace

@@ -14,6 +14,7 @@ from jax import lax
 
 from .entry import ALWAYS, NEVER, SMALL, Entry, Operation, convert, default, in_numpy, up_to
 from .interface import Graph, Nodes, Reader, each, gathered, nodes
+from .matrix_products import columns_in_calls
 from .operations import LARGEST, OPERATIONS, SMALLEST, inverse_root, on
 from .powers import power
 
@@ -124,12 +125,13 @@ def _dot_general(reader: Reader, eqn: Any, a: Nodes, b: Nodes) -> list[Nodes] | 
     inner = math.prod(a.shape[i] for i in left)
     A = a.transpose([*left_batch, *left_free, *left]).reshape(math.prod(batch), math.prod(rows), inner).tolist()
     B = b.transpose([*right_batch, *right_free, *right]).reshape(math.prod(batch), math.prod(columns), inner).tolist()
-    entries = [
-        functools.reduce(g.add, map(g.mul, row, column), g.zero)
-        for above, below in zip(A, B, strict=True)
-        for row in above
-        for column in below
-    ]
+    entries = list[int]()
+    for above, below in zip(A, B, strict=True):
+        called = columns_in_calls(g, above, below)
+        for i, row in enumerate(above):
+            for j, column in enumerate(below):
+                known = called.get((i, j))
+                entries.append(functools.reduce(g.add, map(g.mul, row, column), g.zero) if known is None else known)
     return [nodes(entries, (*batch, *rows, *columns))]
 
 

@@ -24,11 +24,13 @@ class Limits:
         pivoted: the size of a matrix with pivoted LU. The choice of pivots takes more than the elimination.
         table: the size of a table with an index known only at run time. The index is compared with each place.
         equations: the equations of a loop, all iterations together, or of branches.
+        products: the multiplications of columns of a product of matrices; as many and more are a call.
     """
 
     pivoted: int = 4
     table: int = 16
     equations: int = 4000
+    products: float = math.inf
 
 
 class Graph(Protocol):
@@ -42,8 +44,10 @@ class Graph(Protocol):
     dtypes: list[np.dtype[Any]]
     numbers: list[Any]
     calls: list[Any]
+    inside: int
 
     def constant(self, value: Any, dtype: np.dtype[Any] | None = None) -> int: ...
+    def call(self, jaxpr: ClosedJaxpr, key: Any, arguments: Iterable[Nodes], inline: bool) -> Any: ...
     def array(self, values: Any) -> Nodes: ...
     def node(self, operation: Any, *arguments: int) -> int: ...
     def known(self, operation: Any, *arguments: int) -> int | None: ...

@@ -128,7 +128,7 @@ class Cuda(Target):
         return f"in threads on CUDA devices of capability {major}.{minor}{rest}"
 
     def parts(self, program: ScalarProgram) -> list[ScalarProgram]:
-        return parts(program)
+        return parts(native_form(program) if program.calls else program)
 
     def kernel(
         self, kind: type[KernelBody], form: Any, more: tuple[Any, ...], single: bool, threads: int | None
@@ -166,7 +166,9 @@ class KernelRunner:
         """The kernel of a program, for one member or for batches; None where it has no native form."""
         known = _FORMS.pop(program, program)
         try:
-            form = native_form(program) if known is program else known
+            # Members side by side have more in memory than a loop gains.
+            is_known = known is not program and (single or not known.calls)
+            form = known if is_known else native_form(program, products=single)
         except NotNative:
             return None
         first, *rest = TARGETS[platform].parts(form)
@@ -315,7 +317,7 @@ class Native(Backend):
             self._say_missing()
             return None, _MISSING
         try:
-            form = native_form(program)
+            form = native_form(program, products=True)
         except NotNative as error:
             return None, str(error)
         if form is not program:  # which would hold itself

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -13,16 +14,19 @@ from numpy.typing import NDArray
 from ...graph import Limits, TooLarge
 from ...primitives.entry import Operation
 from ...primitives.interface import flat
+from ...primitives.matrix_products import PRODUCT
 from ...primitives.table import OPERATIONS
 from ...program import ScalarProgram, called_names
 from ...reader import emitted_form
 from .code import NAMES, Code, Module, NotNative
 from .lanes import Array, Rows
 from .pieces import PieceValues, Scratch
+from .products import product_by_numpy, write_product
 from .trigonometry import sines_and_cosines
 
 #: Kernels call no library: more is unrolled than for XLA.
 NATIVE_LIMITS = Limits(pivoted=8, table=64, equations=100_000)
+_WITH_PRODUCTS = dataclasses.replace(NATIVE_LIMITS, products=0)
 
 #: The value of an entry of an argument.
 Read: TypeAlias = Callable[[int, int], str]
@@ -42,19 +46,23 @@ _MOST_INLINED = 100
 _TURNING = (OPERATIONS["sin"], OPERATIONS["cos"])
 
 
-def native_form(program: ScalarProgram) -> ScalarProgram:
+def native_form(program: ScalarProgram, *, products: bool = False) -> ScalarProgram:
     """The program in the form from which kernels are written.
 
+    Args:
+        products: whether products of matrices that are calls stay calls, as `Straight` takes them.
     Raises:
         NotNative: it calls functions, or has numbers or operations, that have no native form, or grows too large.
     """
     try:
-        form = emitted_form(program, NATIVE_LIMITS)
+        form = emitted_form(program, _WITH_PRODUCTS if products else NATIVE_LIMITS)
     except TooLarge as error:
         raise NotNative(str(error).splitlines()[0]) from error
     g = form.graph
-    if form.calls:
-        raise NotNative(f"{called_names(form.calls)} has no native form")
+    if foreign := [call for call in form.calls if call.key != PRODUCT]:
+        raise NotNative(f"{called_names(foreign)} has no native form")
+    if form.calls and _turns_products(form):
+        return native_form(program)
     for i in form.live:
         if g.dtypes[i] not in NAMES:
             raise NotNative(f"{g.dtypes[i]} has no native form")
@@ -66,6 +74,17 @@ def native_form(program: ScalarProgram) -> ScalarProgram:
     return form
 
 
+def _turns_products(form: ScalarProgram) -> bool:
+    """Whether a sine or cosine, which are all computed in the first piece, depends on a product of matrices."""
+    g, dependent = form.graph, set[int]()
+    for i in form.live:
+        if g.call_of(i) is not None or not dependent.isdisjoint(g.arguments(i)):
+            dependent.add(i)
+            if g.operation(i) in _TURNING:
+                return True
+    return False
+
+
 def _form_of(operation: Operation, dtype: np.dtype[Any]) -> Callable[..., str]:
     """The LLVM form of an operation on arguments of a type."""
     form: Callable[..., str] | None = operation.llvm.of(dtype)
@@ -75,17 +94,21 @@ def _form_of(operation: Operation, dtype: np.dtype[Any]) -> Callable[..., str]:
 
 
 class Scalars:
-    """The values of a program's nodes in one function, each computed once."""
+    """The values of a program's nodes in one function, each computed once.
+
+    Attributes:
+        values: those that are known, by node.
+    """
 
     def __init__(self, code: Code, form: ScalarProgram, read: Read) -> None:
         self._code = code
         self._graph = form.graph
         self._read = read
-        self._values: dict[int, str] = {}
+        self.values: dict[int, str] = {}
 
     def compute(self, nodes: Sequence[int]) -> list[str]:
         """The values of nodes; independent sines and cosines are computed together."""
-        g, values, live = self._graph, self._values, self._graph.live(nodes, self._values)
+        g, values, live = self._graph, self.values, self._graph.live(nodes, self.values)
         for angles in self._angles(live):
             self._in_order(g.live(angles, values))
             pairs = sines_and_cosines(self._code, NAMES[g.dtypes[angles[0]]], [values[i] for i in angles])
@@ -93,21 +116,21 @@ class Scalars:
         self._in_order(live)
         return [values[i] for i in nodes]
 
-    def in_piece(self, nodes: Sequence[int], values: PieceValues) -> None:
-        """The values of nodes, given those of all nodes before; sines and cosines stand in the first piece."""
-        self._values = values
+    def in_piece(self, nodes: Sequence[int]) -> None:
+        """The values of nodes of a piece, whose `values` are set; sines and cosines stand in the first piece."""
         if any(self._graph.operation(i) in _TURNING for i in nodes):
             self.compute(nodes)
         self._in_order(nodes)
 
     def value(self, node: int) -> str:
         """The value of a node that is computed, a number, or an entry of an argument."""
-        if node not in self._values and self._graph.operation(node) is None:
+        g = self._graph
+        if node not in self.values and g.operation(node) is None and g.call_of(node) is None:
             self._in_order([node])
-        return self._values[node]
+        return self.values[node]
 
     def _in_order(self, nodes: Sequence[int]) -> None:
-        g, values = self._graph, self._values
+        g, values = self._graph, self.values
         for i in nodes:
             if i in values:
                 continue
@@ -128,11 +151,11 @@ class Scalars:
         depth: dict[int, int] = {}
         by_depth: dict[tuple[int, str], dict[int, None]] = {}
         for i in live:
-            if i in self._values:
+            if i in self.values:
                 continue
             arguments = g.arguments(i)
             depth[i] = max((depth.get(a, 0) for a in arguments), default=0)
-            if g.operation(i) in _TURNING and self._values.get(arguments[0]) not in self._code.sines:
+            if g.operation(i) in _TURNING and self.values.get(arguments[0]) not in self._code.sines:
                 by_depth.setdefault((depth[i], g.dtypes[i].name), {})[arguments[0]] = None
                 depth[i] += 1
         return [list(by_depth[k]) for k in sorted(by_depth)]
@@ -244,7 +267,7 @@ class Straight(KernelBody):
         self.chunk = max(1, self._CHUNK // (max(program.operations, 1) * lanes)) * lanes
 
     def body(self, code: Code, rows: Mapping[str, Rows]) -> None:
-        pieces = self.program.operations >= code.module.processor.longest
+        pieces = self.program.operations >= code.module.processor.longest or bool(self.program.calls)
         code.module.long = pieces or sum(array.size for array in self.results) > _MANY
         if pieces:
             self._in_pieces(code, rows)
@@ -258,15 +281,23 @@ class Straight(KernelBody):
         """Write the program as several functions, called in turn."""
         program, module, g = self.program, code.module, self.program.graph
         blocks = {(k, start): piece for k in self.written for start, piece in rows[f"r{k}"].blocks().items()}
+        if not module.by_columns:
+            written = {block: entries for block, entries in blocks.items() if not self._zeros(block, entries)}
+            for k in sorted({k for k, _ in blocks.keys() - written.keys()}):
+                rows[f"r{k}"].clear()
+            blocks = written
         turning = [i for i in program.live if g.operation(i) in _TURNING]
         scratch = Scratch(program, module.processor, turning, blocks)
         for number, steps in enumerate(scratch.pieces):
             piece = Code(module, self.lanes)
             inner = self._moved(piece)
             scalars = Scalars(piece, program, functools.partial(_entry, inner))
-            values = PieceValues(piece, scratch, steps, module.processor.held if number else None)
+            straight = number and number not in scratch.products
+            values = scalars.values = PieceValues(piece, scratch, steps, module.processor.held if straight else None)
+            if number in scratch.products:
+                write_product(piece, scratch, scratch.products[number], scalars.value)
             for nodes, complete in steps:
-                scalars.in_piece(nodes, values)
+                scalars.in_piece(nodes)
                 for k, start in complete:
                     entries = scratch.entries((k, start))
                     inner[f"r{k}"].write_block(start, list(map(scalars.value, entries)))
@@ -278,6 +309,11 @@ class Straight(KernelBody):
         for number in range(len(scratch.pieces)):
             code.lines.append(f"call void @piece.{number}(ptr {memory}, i64 %last{self._heads('ptr')})")
         scratch.freed(code, memory)
+
+    def _zeros(self, block: tuple[int, int], entries: Sequence[int]) -> bool:
+        """Whether a block of a result is zeros."""
+        nodes, numbers = self.program.outputs[block[0]].reshape(-1), self.program.graph.numbers
+        return all(numbers[nodes[entry]] == 0 for entry in entries)
 
     def plain(self, arguments: Sequence[NDArray[Any]], rounded: Rounded = np.asarray) -> list[NDArray[Any]]:
         return by_numpy(self.program, arguments, rounded)
@@ -306,6 +342,7 @@ def by_numpy(
             lambda argument, place: arguments[argument][:, place],
             lambda value, dtype: rounded(np.full(count, value, dtype)),
             lambda operation, i, *a: rounded(np.asarray(operation.number(*a)).astype(program.graph.dtypes[i])),
+            lambda call, values: {i: rounded(value) for i, value in product_by_numpy(call, values).items()},
         )
     return [
         np.stack([values[i] for i in flat(nodes)], 1) if nodes.size else np.zeros((count, 0), dtype)

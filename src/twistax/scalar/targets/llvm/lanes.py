@@ -80,6 +80,12 @@ class Rows:
                 self._read[entry] = self._gathered(entry)
         return self._read[entry]
 
+    def clear(self) -> None:
+        """Zeros in all entries of all rows, which stand one after the other."""
+        size = str(self._array.size * self._align)
+        for pointer in self.pointers:
+            self._code.call("void", "llvm.memset.p0.i64", ("ptr", pointer), ("i8", "0"), ("i64", size), ("i1", "false"))
+
     def write(self, values: list[str]) -> None:
         """All entries of all rows."""
         for start, entries in self.blocks().items():

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple, TypeAlias
 
+from ...graph import OpaqueCall
 from ...primitives.interface import flat
 from ...program import ScalarProgram
 from .code import NAMES, Code
@@ -41,6 +42,7 @@ class Scratch:
 
     Attributes:
         pieces: what is computed and written, in order.
+        products: those of these that are loops, products of matrices, by number.
         slots: by node, its place in memory; places are reused.
     """
 
@@ -55,36 +57,75 @@ class Scratch:
         length = _LENGTH_ON_DEVICE if processor.triple else _LENGTH
         begun = set(g.live(first))
         parts = [[i for i in program.live if i in begun]]
-        rest = [i for i in program.live if i not in begun and g.operation(i) is not None]
-        parts += [rest[k : k + length] for k in range(0, len(rest), length)]
-        place = {i: number for number, part in enumerate(parts) for i in part}
+        self.products: dict[int, OpaqueCall] = {}
+        place = dict.fromkeys(parts[0], 0)
+        for i in program.live:
+            call = g.call_of(i)
+            if call is not None and call.first == [i]:
+                self.products[len(parts)] = call
+                place.update(dict.fromkeys(flat(*call.results), len(parts)))
+                parts += [[], []]
+            elif i not in begun and g.operation(i) is not None:
+                if len(parts) == 1 or len(parts[-1]) == length:
+                    parts.append([])
+                parts[-1].append(i)
+                place[i] = len(parts) - 1
         outputs = [flat(nodes) for nodes in program.outputs]
         self._blocks = {block: [outputs[block[0]][entry] for entry in entries] for block, entries in blocks.items()}
         at_once: list[ResultBlock] = []
         complete: dict[int, list[ResultBlock]] = {}
+        after: dict[int, list[ResultBlock]] = {}
         last: dict[int, int] = {}
         for i, number in place.items():
-            for a in g.arguments(i):
+            for a in g.sources(i):
                 last[a] = max(last.get(a, 0), number)
         for block, nodes in self._blocks.items():
             number, latest = max((place.get(i, 0), i) for i in nodes)
-            (complete.setdefault(latest, []) if number else at_once).append(block)
+            if number in self.products:
+                after.setdefault(number, []).append(block)
+            else:
+                (complete.setdefault(latest, []) if number else at_once).append(block)
             for i in nodes:
                 last[i] = max(last.get(i, 0), number)
-        self.pieces = [[PieceStep(parts[0], at_once)], *(_steps(part, complete) for part in parts[1:])]
+        self.pieces = [[PieceStep(parts[0], at_once)]]
+        for number, part in enumerate(parts[1:], 1):
+            self.pieces.append([PieceStep([], after.get(number, [])), *_steps(part, complete)])
         self.slots: dict[int, int] = {}
         self._size = self._further = 0
-        free: list[int] = []
-        ending: dict[int, list[int]] = {}
+        rows = self._new_rows(place)
+        free: dict[int, list[int]] = {}
+        ending: dict[int, list[tuple[int, int]]] = {}
         for number, part in enumerate(parts):
-            free += ending.pop(number - 1, [])
-            for i in part:
-                if g.operation(i) is not None and last.get(i, 0) > number:
-                    if not free:
-                        free.append(self._size)
-                        self._size += 1
-                    self.slots[i] = free.pop()
-                    ending.setdefault(last[i], []).append(self.slots[i])
+            for width, slot in ending.pop(number - 1, []):
+                free.setdefault(width, []).append(slot)
+            leaving = (
+                (i,) for i in part if i not in self.slots and g.operation(i) is not None and last.get(i, 0) > number
+            )
+            for row in (*rows.get(number, []), *leaving):
+                slots = free.setdefault(len(row), [])
+                if not slots:
+                    slots.append(self._size)
+                    self._size += len(row)
+                slot = slots.pop()
+                self.slots.update(zip(row, range(slot, slot + len(row)), strict=True))
+                ending.setdefault(max(last.get(i, number) for i in row), []).append((len(row), slot))
+
+    def _new_rows(self, place: Mapping[int, int]) -> dict[int, list[tuple[int, ...]]]:
+        """Rows of the matrices of products that stand in memory one after the other, by the piece that begins them."""
+        g, rows = self.graph, dict[int, list[tuple[int, ...]]]()
+        taken: set[int] = set()
+        for call in self.products.values():
+            for row in map(tuple, (*call.arguments[1].tolist(), *call.results[0].tolist())):
+                is_computed = all(g.operation(i) is not None or g.call_of(i) is not None for i in row)
+                if is_computed and len({*row}) == len(row) and taken.isdisjoint(row):
+                    rows.setdefault(min(place[i] for i in row), []).append(row)
+                    taken.update(row)
+        return rows
+
+    def row(self, nodes: Sequence[int]) -> int | None:
+        """The place of the first node of a row of a matrix; None where the others do not follow it."""
+        slots = [self.slots.get(i, -1) for i in nodes]
+        return slots[0] if slots[0] >= 0 and slots == list(range(slots[0], slots[0] + len(slots))) else None
 
     def entries(self, block: ResultBlock) -> list[int]:
         """The nodes of a block."""
