@@ -40,6 +40,11 @@ class Scheme:
     implicit: bool
 
     @property
+    def at_end(self) -> bool:
+        """Whether the rates are evaluated only at the end of an interval, as by the backward Euler method."""
+        return self.implicit and self.substeps == 1 and self.c.tolist() == [1.0]
+
+    @property
     def weights(self) -> Array:
         """The weights b of the running cost: of the ends of substeps, then of all stages, for a unit interval.
 
