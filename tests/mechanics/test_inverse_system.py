@@ -8,7 +8,7 @@ import pytest
 
 import twistax as tx
 from twistax.mechanics import Drive, Link, Mechanism, SpatialInertia, given_forces, joints, loops
-from twistax.trajectory import Problem, Status
+from twistax.trajectory import Collocation, Problem, Status
 
 ROD = SpatialInertia(mass=2.0, center_of_mass=(0.2, 0.01, -0.03), inertia=np.diag([0.02, 0.05, 0.06]))
 Y, Z = (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
@@ -118,6 +118,29 @@ def test_the_optimum_is_that_of_the_forward_form() -> None:
     assert inverse.status in (Status.SOLVED, Status.COARSE)
     assert float(inverse.final_time) == pytest.approx(float(forward.final_time), rel=1e-6)
     assert inverse.iterations < forward.iterations
+
+
+def test_by_backward_euler_a_joint_without_a_motor_has_the_optimum_of_the_forward_form() -> None:
+    cart = Link(joints.Prismatic("cart", (1.0, 0.0, 0.0)), ROD, np.eye(4))
+    pole = Link(joints.Revolute("pole", Y), ROD, np.eye(4), parent="cart")
+    cart_pole = Mechanism([cart, pole], driven=["cart"])
+    inverse = cart_pole.inverse_system()
+    costs = []
+    for system, force in ((inverse, inverse.output("tau")), (cart_pole.system(), cart_pole.motors(["cart"]))):
+        problem = Problem(
+            tx.compile(system),
+            tx.Minimize(running=force @ force),
+            nodes=12,
+            final_time=1.0,
+            initial={"q": np.array([0.0, 1.2]), "qd": np.zeros(2)},
+            final={"q": np.array([0.3, 1.6]), "qd": np.zeros(2)},
+            transcription=Collocation(tx.tableaus.RADAU_IIA1),
+        )
+        result = problem.solve(mesh_tolerance=np.inf)
+        assert result.solved, result.message
+        assert not result.accuracy.exceeded
+        costs.append(result.cost)
+    assert costs[0] == pytest.approx(costs[1], rel=1e-6)
 
 
 def test_what_has_no_inverse_form_is_refused() -> None:

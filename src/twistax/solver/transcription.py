@@ -40,14 +40,22 @@ class Scheme:
     implicit: bool
 
     @property
+    def at_end(self) -> bool:
+        """Whether the rates are evaluated only at the end of an interval, as by the backward Euler method."""
+        return self.implicit and self.substeps == 1 and self.c.tolist() == [1.0]
+
+    @property
     def weights(self) -> Array:
         """The weights b of the running cost: of the ends of substeps, then of all stages, for a unit interval.
 
-        The first stage of an explicit method is the start of its substep, where path rows are evaluated with the cost.
+        The first stage of an explicit method is the start of its substep, and the last stage of a stiffly accurate one
+        is its end: there path rows are evaluated with the cost.
         """
         ends, stages = np.zeros(self.substeps + 1), np.tile(self.b / self.substeps, (self.substeps, 1))
         if not self.implicit:
             ends[:-1], stages[:, 0] = stages[:, 0], 0.0
+        elif np.array_equal(self.a[-1], self.b):
+            ends[1:], stages[:, -1] = stages[:, -1], 0.0
         return np.concatenate([ends, stages.ravel()])
 
 

@@ -129,7 +129,13 @@ class StatedPhase:
         free = {box.name for box in border.boxes}
         self._check_by_node(free)
         self.own_guess = user_guess(self.phase.guess, self._guessed, self._lengths)
-        self.path = describe_path(self.dynamics, self.path_bounds, free, self.continuous.straight)
+        self.path = describe_path(
+            self.dynamics,
+            self.path_bounds,
+            free,
+            self.continuous.straight,
+            of_steps=self.transcription.scheme.at_end,
+        )
         self.shooting = Shooting(
             self.dynamics,
             self.objective,

@@ -163,11 +163,17 @@ class PathRows:
         return np.array([*rows[: len(rows) - len(boxes)], *boxes], bool) & (at_known_time | ~self.timed) & ~self.free
 
 
-def describe_path(dynamics: Dynamics, norms: Any, free: Collection[str], straight: Collection[str] = ()) -> PathRows:
+def describe_path(
+    dynamics: Dynamics, norms: Any, free: Collection[str], straight: Collection[str] = (), *, of_steps: bool = False
+) -> PathRows:
     """The path constraints of a compiled system and of `PathBounds`, the limits of leaves, and the rows that read free
     parameters.
 
     Limits of states that are linear over each interval also hold inside it.
+
+    Args:
+        of_steps: whether the method evaluates the rates only at the end of an interval. Then all rows that read states
+            and controls are imposed there alone.
     """
     functions = dynamics.functions
     residuals: list[Expr] = []
@@ -190,7 +196,7 @@ def describe_path(dynamics: Dynamics, norms: Any, free: Collection[str], straigh
             residuals.append(left if is_equality else without_end(left))
             entries = itertools.compress(entry_names(name, row.shape), finite.ravel())
             added = [_row(entry, list(leaves_of(row)), is_equality, free) for entry in entries]
-            if isinstance(dynamics.system.constraints.get(name), Complementarity):
+            if of_steps or isinstance(dynamics.system.constraints.get(name), Complementarity):
                 added = [it._replace(reads=Reads.STEP) if it.reads is Reads.BOTH else it for it in added]
             norm_bounds += [norm_bound(row)] * len(added)
             rows += added
