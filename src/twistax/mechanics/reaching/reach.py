@@ -131,7 +131,8 @@ def reach(
 
     Additional `tasks` have the same priority as the targets. The error of a constraint $c(q) <= 0$ is $max(c, 0)$. Once
     all of these are satisfied, steps in their null space reduce the weighted errors of `secondary` tasks, to a local
-    minimum or until the iterations end.
+    minimum near the first solution or until the iterations end. Other targets, lengths, tolerances, weights, and
+    values of Parameters do not recompile.
 
     Source: T. Sugihara, Solvability-Unconcerned Inverse Kinematics by the Levenberg-Marquardt Method, IEEE Transactions
     on Robotics 27 (2011), equations 14 to 18; C. Kanzow, N. Yamashita, M. Fukushima, Levenberg-Marquardt Methods with
