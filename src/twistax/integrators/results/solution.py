@@ -117,8 +117,8 @@ def _between() -> Callable[[Stepper, Trail, jax.Array], Arrays]:
 
 def _need_solved(ts: jax.Array, states: Arrays) -> None:
     """Raise IntegrationError if the state at a time, in a step that was taken, is NaN."""
-    lost = [np.isnan(np.asarray(value)).reshape(len(ts), -1).any(axis=1) for value in states.values()]
-    if (at := np.flatnonzero(np.any(lost, axis=0))).size:
+    unknown = [np.isnan(np.asarray(value)).reshape(len(ts), -1).any(axis=1) for value in states.values()]
+    if (at := np.flatnonzero(np.any(unknown, axis=0))).size:
         raise IntegrationError(
             f"evaluate: the equations of the shorter step to t = {float(ts[at[0]]):.6g} s could not be solved.\n"
             "  likely cause: rates that are not smooth within the step\n"

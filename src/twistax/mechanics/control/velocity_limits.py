@@ -81,8 +81,8 @@ def constraint_bounds(
     wanted = -gain * c
     if qd is None:
         return wanted, jnp.zeros_like(acceleration)
-    moves = C != 0.0
-    most = jnp.sum(jnp.where(moves, jnp.abs(C) * acceleration[None], 0.0), axis=1)
+    involved = C != 0.0
+    most = jnp.sum(jnp.where(involved, jnp.abs(C) * acceleration[None], 0.0), axis=1)
     limited = jnp.isfinite(most) & (most > 0.0)
     change = jnp.where(limited, most, 1.0) * dt
     stops, last = (
@@ -91,7 +91,7 @@ def constraint_bounds(
     reachable = jnp.where(limited, C @ qd - _BRAKING * change, -np.inf)
     late = limited & (reachable > last + _ROUNDING * change)
     upper = jnp.maximum(jnp.minimum(wanted, stops), reachable)
-    return upper, jnp.sum((late[:, None] & moves).astype(c.dtype), axis=0)
+    return upper, jnp.sum((late[:, None] & involved).astype(c.dtype), axis=0)
 
 
 def _stopping_speed(margin: jax.Array, change: jax.Array, dt: Any) -> jax.Array:
