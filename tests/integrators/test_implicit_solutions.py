@@ -54,6 +54,22 @@ def test_chosen_steps_shrink_until_none_has_a_solution() -> None:
     assert "jumps=" in str(caught.value)
 
 
+def test_a_part_of_a_step_without_a_solution_is_no_infinite_state() -> None:
+    """Friction of a bristle at rest: |v| has a corner, and long steps contain it."""
+    x, v, z = (tx.State(name) for name in "xvz")
+    bent = v - tx.Abs(v) * z / 1e-3
+    stuck = tx.compile(tx.System(rates={x: v, z: bent, v: 3.3 - 4.6 * (z / 1e-3 + 20.0 * bent)}))
+    start, times = dict.fromkeys("xvz", 0.0), np.linspace(0.0, 20.0, 41)
+    radau = {"t1": 20.0, "rtol": 1e-5, "method": tx.ImplicitRKMK(tx.tableaus.RADAU_IIA5)}
+    with pytest.raises(tx.IntegrationError, match=r"could not be solved[\s\S]*jumps=save_at"):
+        tx.integrate(stuck, start, save_at=times, **radau)
+    rows = tx.integrate(stuck, start, save_at=times, jumps=times[1:-1], **radau)
+    assert abs(rows.xs["z"][-1] - 3.3 / 4.6 * 1e-3) < 1e-8  # the bristle carries the push
+    dense = tx.integrate(stuck, start, dense=True, **radau)
+    with pytest.raises(tx.IntegrationError, match="evaluate: the equations"):
+        dense.evaluate(times)
+
+
 def test_a_step_taken_back_is_halved_and_the_solution_goes_on() -> None:
     """A first step far too long for a rate that bends hard."""
     x = tx.State("x")

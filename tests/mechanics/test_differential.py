@@ -13,6 +13,7 @@ import pytest
 from joints_of_every_kind import mimicking_tree
 from mechanics_oracles import pose
 
+import twistax as tx
 from evaluated import evaluated
 from twistax import mechanics
 from twistax.errors import InputError, ModelError
@@ -105,6 +106,35 @@ def test_a_frame_arrives_and_the_rest_keeps_its_posture() -> None:
     assert np.abs(evaluated(arm.pose("flange"), x) - T).max() < 1e-5
     moved = controller(x, {"flange_pose": T, "posture": HOME + 0.1})
     assert np.allclose(moved.errors[1], HOME + 0.1 - x["q"])
+
+
+def test_limits_of_acceleration_stop_an_arm_at_a_constraint() -> None:
+    """A fast arm of two links in a plane stops at a wall, and leaves it if it starts behind it."""
+    out = tx.pose(position=[1.0, 0.0, 0.0])
+    arm = Mechanism(
+        [
+            Link(joints.Revolute("first", (0.0, 0.0, 1.0)), None, np.eye(4), drive=Drive(speed=3.0)),
+            Link(joints.Revolute("second", (0.0, 0.0, 1.0)), None, out, parent="first", drive=Drive(speed=3.0)),
+            Link(joints.Fixed("tip"), None, out, parent="second"),
+        ]
+    )
+    wall = {"wall": arm.pose("tip")[0, 3] <= 1.5}
+    tasks = [PositionTask("tip", np.array([1.9, 0.3, 0.0]), gain=4.0), PostureTask(np.zeros(2), weight=1e-3)]
+    controller = DifferentialController(arm, tasks, dt=1e-3, constraints=wall, acceleration=8.0)
+    for start, seconds in ((np.array([1.2, 1.0]), 2.0), (np.array([0.3, 0.5]), 2.0)):
+        x, qd, over, statuses, speeds = {"q": start}, np.zeros(2), [], [], []
+        for _ in range(int(1000 * seconds)):
+            step = controller(x, qd=qd)
+            over.append(float(step.constraints[0])), statuses.append(int(step.status)), speeds.append(qd)
+            x, qd = step.x, np.asarray(step.qd)
+        if over[0] < 0.0:
+            assert max(over) < 1e-5
+            assert set(statuses) == {StepStatus.SOLVED}
+        else:
+            assert statuses[0] == StepStatus.OVERRUN
+        assert abs(over[-1]) < 1e-3  # it stands at the wall
+        assert statuses[-1] == StepStatus.SOLVED
+        assert np.abs(np.diff(speeds, axis=0)).max() <= 8e-3 + 1e-9
 
 
 def test_limits_of_acceleration_stop_a_joint_at_its_limit() -> None:

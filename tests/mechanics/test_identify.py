@@ -153,6 +153,9 @@ def test_the_measure_has_no_unit(real: Mechanism) -> None:
         assert result.undetermined
         names.append(tuple(name.split(" ")[0] for name in result.names))
     assert len(set(names)) == 1
+    lost = result.parameters[int(np.argmin(np.abs(result.combinations).sum(axis=0)))]
+    with pytest.raises(InputError, match=r"No combination contains it\.\n  fix: "):
+        result.estimate(lost)
 
 
 def test_residuals_that_are_no_noise_are_a_misfit(real: Mechanism, data: dict[str, np.ndarray]) -> None:

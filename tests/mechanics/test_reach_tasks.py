@@ -1,5 +1,6 @@
 """Inverse kinematics with several frames, further tasks, priorities and constraints."""
 
+import logging
 from pathlib import Path
 from typing import Any
 
@@ -90,6 +91,36 @@ def test_tasks_without_targets_of_frames() -> None:
     found = evaluated([mechanics.center_of_mass(arm), arm.pose("joint2")[:3, 3]], result.x)
     assert np.allclose(found[0], center, atol=1e-5)
     assert np.allclose(found[1], tip, atol=1e-5)
+
+
+def test_other_numbers_do_not_compile_again(caplog: pytest.LogCaptureFixture) -> None:
+    from test_reach import planar_arm
+
+    arm = planar_arm((-3.0, 3.0), (-3.0, 3.0), (-3.0, 3.0))
+
+    def search(k: float) -> mechanics.ReachResult:
+        turned = tx.pose(position=[1.5, 0.8 * k, 0.0], euler=[0.0, 0.0, 0.9 * k])
+        height = tx.Parameter("height", value=-0.1 * k)
+        return reach(
+            arm,
+            {"tip": turned},
+            tasks=[PositionTask("joint2", np.asarray(turned[:3, 3] - turned[:3, 0]), weight=2.0 * k)],
+            secondary=[PostureTask(np.array([0.2 * k, 0.4, 0.3]), weight=0.1 * k)],
+            constraints={"above": arm.pose("joint1")[1, 3] >= height},
+            length=0.3 * k,
+            position_tolerance=1e-5 * k,
+            angle_tolerance=1e-6 * k,
+        )
+
+    assert search(1.0).status == ReachStatus.REACHED
+    caplog.clear()
+    with jax.log_compiles(), caplog.at_level(logging.WARNING):
+        result = search(0.9)
+    assert [text for text in caplog.messages if text.startswith("Compiling")] == []
+    assert result.status == ReachStatus.REACHED
+    there, elbow = evaluated([arm.pose("tip"), arm.pose("joint1")[1, 3]], result.x)
+    assert np.allclose(there, tx.pose(position=[1.5, 0.72, 0.0], euler=[0.0, 0.0, 0.81]), atol=2e-5)
+    assert np.isclose(result.constraints[0], -0.09 - elbow, atol=1e-9)  # the number of this call
 
 
 def test_what_cannot_be_asked_for(unchecked: None) -> None:

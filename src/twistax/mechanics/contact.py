@@ -173,7 +173,8 @@ class Ground:
         cone. If |z| <= d holds initially, it holds at all times. During sliding at constant velocity the force is $\\mu
         n$. At rest z is constant, and the point does not creep; with `wrenches` it creeps at a speed of the order of
         `slip`. A force that oscillates within the cone moves a point slowly. Without contact the bristle still changes,
-        without effect, because n is almost zero.
+        without effect, because n is almost zero. The force follows a varying n at once, so the contacts of a body that
+        rocks can feed its rocking: a block on four corners needs a ground with `damping=2.0` to come to rest.
 
         Args:
             mechanism: a tree or a chain.

@@ -145,8 +145,13 @@ def _with_rows(steps: Steps, stepper: Stepper, x: Arrays, run: Run) -> RolloutRe
 
     reached, not_finite, xs = jax.vmap(row)(saved.y, saved.t)
     not_finite = (outcome.code == Result.SUCCESS.value) & not_finite.any()
-    code = jnp.where(not_finite, Result.NON_FINITE.value, outcome.code)
+    code = jnp.where(not_finite, _lost(stepper), outcome.code)
     return dataclasses.replace(result, xs=xs, reached=reached, outcome=dataclasses.replace(outcome, code=code))
+
+
+def _lost(stepper: Stepper) -> int:
+    """The `Result` where the steps reached a saved time, but the shorter step to it has no finite end."""
+    return (Result.NEWTON_FAILED if stepper.method.solves else Result.NON_FINITE).value
 
 
 def _row(
@@ -208,7 +213,7 @@ def _to_saved_times(
     xs = jax.tree.map(lambda a: jnp.where(wide(reached, a), a, jnp.nan), xs)
     counts = (parts.h > 0.0).sum() * stepper.method.evaluations_of(stepper.dynamics)
     not_finite = (outcome.code == Result.SUCCESS.value) & (saved.requested & ~reached).any()
-    code = jnp.where(not_finite, Result.NON_FINITE.value, outcome.code)
+    code = jnp.where(not_finite, _lost(stepper), outcome.code)
     outcome = dataclasses.replace(outcome, evaluations=outcome.evaluations + counts, code=code)
     return RolloutResult(xs, end, reached, outcome, run.trail, event)
 

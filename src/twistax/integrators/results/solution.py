@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...checks import listed, real_array
-from ...errors import InputError
+from ...errors import InputError, IntegrationError
 from ...groups.columns import Column
 from ...jax_inside import is_traced
 from ...plots import Pictured, draw
@@ -113,6 +113,17 @@ def _between() -> Callable[[Stepper, Trail, jax.Array], Arrays]:
         return nan_unless((ts >= start - _room(start, end)) & (ts <= end + _room(start, end)), values)
 
     return states
+
+
+def _need_solved(ts: jax.Array, states: Arrays) -> None:
+    """Raise IntegrationError if the state at a time, in a step that was taken, is NaN."""
+    unknown = [np.isnan(np.asarray(value)).reshape(len(ts), -1).any(axis=1) for value in states.values()]
+    if (at := np.flatnonzero(np.any(unknown, axis=0))).size:
+        raise IntegrationError(
+            f"evaluate: the equations of the shorter step to t = {float(ts[at[0]]):.6g} s could not be solved.\n"
+            "  likely cause: rates that are not smooth within the step\n"
+            "  fix: name such times in jumps=..., so that steps end there, or smooth the expression"
+        )
 
 
 class AnySolution(ABC):
@@ -275,6 +286,8 @@ class Solution(AnySolution):
 
         Raises:
             InputError: there is no dense output; times outside of the integration.
+            IntegrationError: the equations of an implicit step to one of the times cannot be solved; inside `jit` its
+                states are NaN.
         """
         if self.dense is None:
             raise InputError("this solution has no dense output.\n  fix: tx.integrate(..., dense=True)")
@@ -286,6 +299,8 @@ class Solution(AnySolution):
             known = np.asarray(self.dense.stepper.clock(trail.t))
             need_within(ts, known[0], known[int(trail.steps)], "the integrated span")
         states: Arrays = jitted(_between, self.dense.stepper, trail, ts.reshape(-1))
+        if not is_traced(states):
+            _need_solved(ts.reshape(-1), states)
         return {name: value[0] for name, value in states.items()} if ts.ndim == 0 else states
 
     @watching("plot")

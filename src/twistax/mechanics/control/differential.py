@@ -27,7 +27,7 @@ from ..kinematic_tree import KinematicTree
 from ..tasks.configuration_space import Arrays, ConfigurationSpace
 from ..tasks.rows import ConstraintRows, TaskRows, inputs_of
 from ..tasks.task import Task
-from .velocity_limits import VelocityBounds, as_freedoms, velocity_bounds
+from .velocity_limits import VelocityBounds, as_freedoms, constraint_bounds, velocity_bounds
 
 
 class StepStatus(enum.IntEnum):
@@ -35,8 +35,8 @@ class StepStatus(enum.IntEnum):
 
     - `SOLVED`: the velocities are the optimum.
     - `OVERRUN`: the velocities are the optimum, but under the acceleration limit a joint cannot stop before its
-      position limit, or cannot reduce its speed to the speed limit in one step. It brakes; `DifferentialStep.overrun`
-      names it.
+      position limit, or cannot reduce its speed to the speed limit in one step, or a constraint cannot hold. They
+      brake; `DifferentialStep.overrun` names the joint, or those that move the constraint.
     - `INFEASIBLE`: no velocities satisfy the equalities, the constraints and the limits together.
     - `NOT_FINITE`: positions, targets or velocities have an entry that is not finite.
     - `FAILED`: the solver stopped before it found the optimum.
@@ -65,7 +65,7 @@ class DifferentialStep:
         x: the positions after dt at these velocities.
         status: (), the number of a `StepStatus`.
         errors: by task the error e (m,) before the step; the equalities follow the tasks.
-        overrun: (n,) whether a joint cannot satisfy its limits.
+        overrun: (n,) whether a joint cannot satisfy its limits, or moves a constraint that cannot hold.
         constraints: residuals (k,) before the step; satisfied if not positive.
         start: the start of the solver for the next step.
         iterations: () iterations of the solver; 0 if its start was optimal.
@@ -92,9 +92,10 @@ class DifferentialController:
         = k e$ for the equalities, $c' <= -k_c c$ for the constraints $c(q) <= 0$,
                     and limits of position, speed and acceleration,
 
-    with weights w, gains k and errors e of the tasks, and mu from their `damping`. It works under `jit` and `vmap`.
-    Positions have the form that `reach` and `tx.integrate` use. Weights, gains, limits and dt are arguments of the
-    compiled function, so `replace` does not recompile.
+    with weights w, gains k and errors e of the tasks, and mu from their `damping`. With acceleration limits, $c'$ is
+    also limited so that the constraint can stop at zero, with half of its largest deceleration. It works under `jit`
+    and `vmap`. Positions have the form that `reach` and `tx.integrate` use. Weights, gains, limits and dt are arguments
+    of the compiled function, so `replace` does not recompile.
 
     Source: S. Caron and others, Pink (2022), for the cost and the damping; O. Kanoun, F. Lamiraux, P. Wieber, Kinematic
     control of redundant manipulators, IEEE Transactions on Robotics 27 (2011), for limits in the program.
@@ -259,7 +260,8 @@ class DifferentialController:
         bounds = velocity_bounds(
             self.space, x, qd, dt, numbers["speed"], numbers["acceleration"], numbers["limit_gain"]
         )
-        rows = -numbers["constraint_gain"] * c
+        rows, late = constraint_bounds(c, C, qd, dt, numbers["acceleration"], numbers["constraint_gain"])
+        bounds = bounds._replace(overrun=jnp.maximum(bounds.overrun, late))
         ends = (A, numbers["equality_gains"] * b, C, jnp.full_like(rows, -np.inf), rows, bounds.lower, bounds.upper)
         return (J, numbers["weights"] ** 2, r, mu, *ends), bounds, (e, b), c
 

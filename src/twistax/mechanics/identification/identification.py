@@ -112,8 +112,11 @@ class Identification:
         weights = np.linalg.lstsq((C * size).T, wanted * size, rcond=None)[0]
         if np.abs(weights @ C - wanted).max() > _EQUAL * np.abs(wanted).max():
             among = [name for name, row in zip(self.names, C, strict=True) if np.any(row[wanted != 0.0])]
+            within = f"They determine it only within {listed(among)}" if among else "No combination contains it"
             raise InputError(
-                f"estimate: the data do not determine {_sum(parts)}. They determine it only within {listed(among)}"
+                f"estimate: the data do not determine {_sum(parts)}. {within}.\n"
+                "  fix: record motions that depend on it more, as of tx.trajectory.exciting_problem; `undetermined` "
+                "and `without_effect` list all such parameters"
             )
         return float(weights @ self.values), float(np.sqrt(weights @ self.covariance @ weights))
 

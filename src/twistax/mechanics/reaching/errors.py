@@ -12,12 +12,14 @@ Source: K. Lynch, F. Park, Modern Robotics (2017), section 6.2, for the error of
 
 from __future__ import annotations
 
+import functools
 import itertools
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from ...checks import listed
 from ...errors import ModelError
@@ -30,15 +32,14 @@ from ..tasks.task import Task
 
 
 class ReachErrors:
-    """The errors of inverse kinematics.
+    """The errors of inverse kinematics. They are equal if they differ only in numbers: those of tasks and parameters.
 
     Args:
         mechanism: a mechanism without loop constraints.
         shapes: by frame (4, 4) for a target pose, (3,) for a target position.
-        length: the length l, m, that converts angles.
         tasks: additional tasks, whose targets are numbers.
         secondary: tasks that are minimised once all others are satisfied.
-        constraints: inequalities of positions.
+        constraints: inequalities of positions, by name.
     Attributes:
         space: the configuration space.
         blocks: the rows of each position, orientation and task, and of each entry of the constraints.
@@ -51,28 +52,27 @@ class ReachErrors:
     def __init__(
         self,
         mechanism: KinematicTree,
-        shapes: Mapping[str, tuple[int, ...]],
-        length: float,
+        shapes: Iterable[tuple[str, tuple[int, ...]]],
         tasks: Iterable[Task] = (),
         secondary: Iterable[Task] = (),
-        constraints: Any = (),
+        constraints: Iterable[tuple[str, Any]] = (),
     ) -> None:
-        self.space, self.shapes, self.length = ConfigurationSpace("reach", mechanism), dict(shapes), length
+        self.space, self.shapes = ConfigurationSpace("reach", mechanism), dict(shapes)
         every: list[Task] = []
         self.turns: list[bool] = []
-        for frame, shape in shapes.items():
+        for frame, shape in self.shapes.items():
             target, pose = State(f"target of {frame}", shape), shape == (4, 4)
             every.append(PositionTask(frame, target[:3, 3] if pose else target))
             self.turns += [False, True] if pose else [False]
             if pose:
-                every.append(OrientationTask(frame, target[:3, :3], weight=length))
+                every.append(OrientationTask(frame, target[:3, :3]))
         further = TaskRows("reach", self.space, tasks)
         self._tasks = TaskRows("reach", self.space, [*every, *further.tasks])
         self._secondary = TaskRows("reach", self.space, secondary)
-        self.constraints = ConstraintRows("reach", self.space, constraints)
+        self.constraints = ConstraintRows("reach", self.space, dict(constraints))
         parts = [*(further.expressions or ()), *(self._secondary.expressions or ())]
         parts += [] if self.constraints.expression is None else [self.constraints.expression]
-        controls, _ = inputs_of("reach", self.space, parts)
+        controls, parameters = inputs_of("reach", self.space, parts)
         if controls:
             raise ModelError(f"reach expects tasks with targets, got none for {listed(c.name for c in controls)}")
         sizes = [*self._tasks.sizes, *([1] * sum(self.constraints.sizes.values()))]
@@ -80,28 +80,55 @@ class ReachErrors:
         ends = [sum(sizes[:k]) for k in range(len(sizes) + 1)]
         self.blocks = [slice(*pair) for pair in itertools.pairwise(ends)]
         self.size = ends[-1]
+        self._parameters = {leaf.name: leaf.value for leaf in parameters if leaf.value is not None}
+        shared = (tuple(self.shapes.items()), tuple(self.constraints.sizes.items()), tuple(self._secondary.sizes))
+        self._key = (mechanism, tuple(further.sizes), *shared, *(part.key() for part in parts))
+
+    @staticmethod
+    @functools.lru_cache(maxsize=32)
+    def of(*arguments: Any) -> ReachErrors:
+        return ReachErrors(*arguments)
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, ReachErrors) and self._key == other._key
+
+    def numbers(self, length: float) -> Arrays:
+        """The numbers that do not belong to the structure: parameters by name, and the weights of all rows.
+
+        Args:
+            length: the length l, m, that converts angles.
+        """
+        weights = self._tasks.weights.copy()
+        for block, is_turn in zip(self.blocks, self.turns, strict=True):
+            if is_turn:
+                weights[block] = length
+        rows = {"weights": weights, "secondary": self._secondary.weights, "length": np.asarray(length)}
+        return {"parameters": self._parameters, **rows}
 
     @property
     def has_secondary(self) -> bool:
         return bool(self._secondary.tasks)
 
-    def __call__(self, x: Arrays, targets: Arrays) -> tuple[jax.Array, jax.Array]:
+    def __call__(self, x: Arrays, targets: Arrays, numbers: Arrays) -> tuple[jax.Array, jax.Array]:
         """The errors e (m,) and the Jacobian J (m, n), with e' = -J qd."""
-        e, J = self._weighted(self._tasks, {**x, **{f"target of {frame}": T for frame, T in targets.items()}})
+        at = {**x, **{f"target of {frame}": T for frame, T in targets.items()}}
+        e, J = self._weighted(self._tasks, at, numbers, "weights")
         if self.constraints.expression is None:
             return e, J
-        c, C = self.constraints(x, {}, {})
+        c, C = self.constraints(x, {}, numbers["parameters"])
         broken = c > 0.0
         zero = jnp.zeros((), c.dtype)
         active = jnp.where(broken[:, None], -C, zero)
         return jnp.concatenate([e, jnp.where(broken, c, zero)]), jnp.concatenate([J, active])
 
-    def secondary(self, x: Arrays) -> tuple[jax.Array, jax.Array]:
+    def secondary(self, x: Arrays, numbers: Arrays) -> tuple[jax.Array, jax.Array]:
         """The weighted errors and the Jacobian of the secondary tasks."""
-        return self._weighted(self._secondary, x)
+        return self._weighted(self._secondary, x, numbers, "secondary")
 
     @staticmethod
-    def _weighted(tasks: TaskRows, x: Arrays) -> tuple[jax.Array, jax.Array]:
-        e, J = tasks(x, {}, {})
-        weights = jnp.asarray(tasks.weights, e.dtype)
-        return weights * e, weights[:, None] * J
+    def _weighted(tasks: TaskRows, x: Arrays, numbers: Arrays, name: str) -> tuple[jax.Array, jax.Array]:
+        e, J = tasks(x, {}, numbers["parameters"])
+        return numbers[name] * e, numbers[name][:, None] * J

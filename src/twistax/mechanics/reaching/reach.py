@@ -131,7 +131,8 @@ def reach(
 
     Additional `tasks` have the same priority as the targets. The error of a constraint $c(q) <= 0$ is $max(c, 0)$. Once
     all of these are satisfied, steps in their null space reduce the weighted errors of `secondary` tasks, to a local
-    minimum or until the iterations end.
+    minimum near the first solution or until the iterations end. Other targets, lengths, tolerances, weights, and
+    values of Parameters do not recompile.
 
     Source: T. Sugihara, Solvability-Unconcerned Inverse Kinematics by the Levenberg-Marquardt Method, IEEE Transactions
     on Robotics 27 (2011), equations 14 to 18; C. Kanzow, N. Yamashita, M. Fukushima, Levenberg-Marquardt Methods with
@@ -171,11 +172,12 @@ def reach(
     ):
         number(f"reach: {name}", size, "a positive number", lambda x: 0.0 < x < np.inf)
     shapes = tuple((name, value.shape[1:]) for name, value in arrays.items())
-    options = SearchOptions(float(position_tolerance), float(angle_tolerance), iterations)
-    named = tuple(constraints_by_name(constraints).items())
-    search = _Reacher.of(mechanism, shapes, float(length), options, (seeds, candidates), (tasks, secondary), named)
-    first = None if start is None else _start(search.errors.space, start, leading)
-    return jax.tree.map(lambda a: a.reshape(*leading, *a.shape[1:]), search(arrays, first))
+    errors = ReachErrors.of(mechanism, shapes, tasks, secondary, tuple(constraints_by_name(constraints).items()))
+    search = _Reacher.of(errors, SearchOptions(iterations), seeds, candidates)
+    tolerances = {"position_tolerance": np.asarray(position_tolerance), "angle_tolerance": np.asarray(angle_tolerance)}
+    first = None if start is None else _start(errors.space, start, leading)
+    result = search(arrays, first, errors.numbers(length) | tolerances)
+    return jax.tree.map(lambda a: a.reshape(*leading, *a.shape[1:]), result)
 
 
 def _targets(
@@ -237,28 +239,19 @@ def _start(space: ConfigurationSpace, start: Mapping[str, Any], leading: tuple[i
 
 
 class _Reacher:
-    """The compiled search for a mechanism with some frames and options."""
+    """The compiled search for some errors and options. Their numbers are arguments."""
 
-    def __init__(
-        self,
-        mechanism: KinematicTree,
-        shapes: tuple[tuple[str, tuple[int, ...]], ...],
-        length: float,
-        options: SearchOptions,
-        starts: tuple[int, int],
-        tasks: tuple[tuple[Task, ...], tuple[Task, ...]],
-        constraints: tuple[tuple[str, Any], ...],
-    ) -> None:
-        """`starts`: the number of seeds, and of candidates for each; `tasks`: those of first and of second priority."""
-        self.errors = ReachErrors(mechanism, dict(shapes), length, *tasks, dict(constraints))
-        seeds, candidates = starts
+    def __init__(self, errors: ReachErrors, options: SearchOptions, seeds: int, candidates: int) -> None:
+        """`candidates`: the number for each seed."""
+        self.errors = errors
         self._options, self._seeds = options, seeds
-        self._frames = tuple(name for name, _ in shapes)
+        self._frames = tuple(errors.shapes)
         sizes = self.errors.constraints.sizes
         self._constraints = tuple(name for name, size in sizes.items() for _ in range(size))
         pool = self.errors.space.random(np.random.default_rng(0), seeds * candidates)
         poses = dict[str, Any]()
-        if shapes:
+        if self._frames:
+            mechanism = errors.space.mechanism
             forward = lower({name: mechanism.pose(name) for name in self._frames})
             with jax.ensure_compile_time_eval():  # the first call may be inside a traced function
                 poses = jax.jit(jax.vmap(lambda x: forward(0.0, x)))(pool)
@@ -267,7 +260,7 @@ class _Reacher:
         self._features = np.concatenate([np.zeros((seeds * candidates, 0)), *parts], axis=1)
         self._search = SeededSearch(self.errors, options)
         self._one = part_of_package(self._search.one)
-        self._call = jax.jit(self._all, static_argnums=2)
+        self._call = jax.jit(self._all, static_argnums=3)
 
     @staticmethod
     @functools.lru_cache(maxsize=32)
@@ -275,72 +268,78 @@ class _Reacher:
         """Each search is compiled once and cached."""
         return _Reacher(*arguments)
 
-    def __call__(self, targets: Arrays, start: Arrays | None) -> ReachResult:
-        result: ReachResult = self._call(targets, start, len(next(iter(targets.values()), [None])))
+    def __call__(self, targets: Arrays, start: Arrays | None, numbers: Arrays) -> ReachResult:
+        result: ReachResult = self._call(targets, start, numbers, len(next(iter(targets.values()), [None])))
         return result
 
     def _feature(self, frame: str, T: Any) -> Any:
-        """Vectors (count, k) whose squared distance is that of poses: |p - p_d|^2 + l^2 |R - R_d|_F^2 / 2."""
+        """Positions (count, 3), and for a pose also the entries of R / sqrt(2), (count, 12)."""
         pose = dict(zip(self._frames, self._kinds(), strict=True))[frame]
         if not pose:
             return T[:, :3, 3] if T.ndim == 3 else T
-        turned = T[:, :3, :3].reshape(len(T), 9) * (self.errors.length * math.sqrt(0.5))
+        turned = T[:, :3, :3].reshape(len(T), 9) * math.sqrt(0.5)
         return (jnp if is_traced(T) else np).concatenate([T[:, :3, 3], turned], axis=1)
 
     def _kinds(self) -> list[bool]:
         """For each frame whether its target is a pose."""
         return [shape == (4, 4) for shape in self.errors.shapes.values()]
 
-    def _chosen(self, targets: Arrays, count: int) -> Arrays:
-        """The best candidate of each seed, (count, seeds, ...)."""
+    def _chosen(self, targets: Arrays, length: Any, count: int) -> Arrays:
+        """The best candidate of each seed, (count, seeds, ...), by |p - p_d|^2 + l^2 |R - R_d|_F^2 / 2."""
         parts = [self._feature(name, targets[name]) for name in self._frames]
         wanted = jnp.concatenate(parts, axis=1) if parts else jnp.zeros((count, 0))
-        features = jnp.asarray(self._features, dtype=wanted.dtype)
+        turned = np.concatenate([np.zeros(0, bool), *([False] * 3 + [True] * 9 * pose for pose in self._kinds())])
+        scale = jnp.where(turned.astype(bool), length, 1.0).astype(wanted.dtype)[None]
+        features, wanted = jnp.asarray(self._features, dtype=wanted.dtype) * scale, wanted * scale
         far = jnp.sum(features**2, axis=1)[None] - 2.0 * wanted @ features.T  # without a part that all candidates share
         best = jnp.argmin(far.reshape(count, self._seeds, features.shape[0] // self._seeds), axis=2)
         rows = jnp.arange(self._seeds)[None]
         return {name: jnp.asarray(value, dtype=wanted.dtype)[rows, best] for name, value in self._pool.items()}
 
-    def _all(self, targets: Arrays, start: Arrays | None, count: int) -> ReachResult:
+    def _all(self, targets: Arrays, start: Arrays | None, numbers: Arrays, count: int) -> ReachResult:
         # Only the last step is differentiated.
         still = jax.tree.map(jax.lax.stop_gradient, targets)
-        seeds = self._chosen(still, count)
+        seeds = self._chosen(still, numbers["length"], count)
+        dtype = next(iter(seeds.values())).dtype
+        numbers = jax.tree.map(lambda value: jnp.asarray(value, dtype), numbers)
         if start is not None:
             seeds = {n: s.at[:, 0].set(jax.lax.stop_gradient(start[n]).astype(s.dtype)) for n, s in seeds.items()}
-        solution: SearchEnd = jax.vmap(self._one)(still, seeds)
+        solution: SearchEnd = jax.vmap(self._one, (0, 0, None))(still, seeds, numbers)
         solution = jax.tree.map(jax.lax.stop_gradient, solution)
-        return jax.vmap(self._polished)(targets, solution)
+        return jax.vmap(self._polished, (0, 0, None))(targets, solution, numbers)
 
-    def _polished(self, targets: Arrays, solution: SearchEnd) -> ReachResult:
+    def _polished(self, targets: Arrays, solution: SearchEnd, numbers: Arrays) -> ReachResult:
         """For one target: a last Gauss-Newton step if it is reached, and the attributes of the result."""
-        reached = self._search.reached(solution.error)
-        e, J = self.errors(solution.x, targets)
+        reached = self._search.reached(solution.error, numbers)
+        e, J = self.errors(solution.x, targets, numbers)
         open_J = jax.lax.stop_gradient(jnp.where(solution.free[None], J, 0.0))
         size = jnp.sum(open_J * open_J)
         mu = jnp.where(size > 0.0, np.finfo(e.dtype).eps * size, 1.0)  # a target on the base depends on no joint
         step = jnp.where(reached, self._search.least_squares(open_J, e, mu), 0.0)
         # Near a singular configuration the step may increase the error: then it is not taken, but its derivatives are
         # kept.
-        after, _ = self.errors(jax.lax.stop_gradient(self.errors.space.moved(solution.x, step)), targets)
-        worse = (jnp.sum(after * after) > jnp.sum(e * e)) | ~self._search.reached(after)
+        moved = jax.lax.stop_gradient(self.errors.space.moved(solution.x, step))
+        after, _ = self.errors(moved, targets, numbers)
+        worse = (jnp.sum(after * after) > jnp.sum(e * e)) | ~self._search.reached(after, numbers)
         x = self.errors.space.moved(solution.x, step - jax.lax.stop_gradient(jnp.where(worse, step, 0.0)))
-        distance, angle = self._measures(self.errors(x, targets)[0])
+        distance, angle = self._measures(self.errors(x, targets, numbers)[0], numbers["length"])
         # First-order conditions: a limit without a multiplier is not the cause.
         scale = jnp.sqrt(jnp.maximum(jnp.sum(J * J) * jnp.sum(e * e), np.finfo(e.dtype).tiny))
         multiplier = jnp.where(solution.free, 0.0, jnp.abs(J.T @ e) / scale)
         at_limit = ~reached & (multiplier > _SIGNIFICANT * jnp.maximum(solution.slope, self._options.flat))
         missed = jnp.where(jnp.any(at_limit), int(ReachStatus.LIMIT), int(ReachStatus.UNREACHABLE))
         status = jnp.where(reached, int(ReachStatus.REACHED), missed)
-        measures = (solution.slope, solution.minima, solution.seeds, self.errors.constraints.values(x, {}, {}))
+        residuals = self.errors.constraints.values(x, {}, numbers["parameters"])
+        measures = (solution.slope, solution.minima, solution.seeds, residuals)
         names = (self._frames, self.errors.space.joints, self._constraints)
         return ReachResult(x, status, distance, angle, at_limit, *measures, *names)
 
-    def _measures(self, error: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def _measures(self, error: jax.Array, length: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Distances in m and angles in rad, (frames,)."""
         distances, angles, row = list[Any](), list[Any](), 0
         for pose in self._kinds():
             distances.append(jnp.linalg.norm(error[row : row + 3]))
-            turn = jnp.linalg.norm(error[row + 3 : row + 6]) / self.errors.length if pose else jnp.zeros_like(error[0])
+            turn = jnp.linalg.norm(error[row + 3 : row + 6]) / length if pose else jnp.zeros_like(error[0])
             angles.append(turn)
             row += 6 if pose else 3
         nothing = jnp.zeros(0, error.dtype)

@@ -33,7 +33,6 @@ class SearchOptions:
     """Numeric options of the search.
 
     Attributes:
-        position_tolerance, angle_tolerance: tolerances of each frame, m and rad.
         iterations: the largest number from one seed, and for the secondary tasks.
         flat: the fraction of |J|_F |e| below which the gradient of |e| counts as zero: the search is at a minimum.
         damping: damping of the first step, as a fraction of |e|^2.
@@ -43,8 +42,6 @@ class SearchOptions:
             the last step.
     """
 
-    position_tolerance: float
-    angle_tolerance: float
     iterations: int
     flat: float = 1e-4
     damping: float = 1e-1
@@ -88,19 +85,21 @@ class SeededSearch:
         self._errors, self._options = errors, options
         self._solves: dict[int, Any] = {}
 
-    def one(self, targets: Arrays, seeds: Arrays) -> SearchEnd:
-        """The best positions for a target, from seeds (count, ...)."""
+    def one(self, targets: Arrays, seeds: Arrays, numbers: Arrays) -> SearchEnd:
+        """The best positions for a target, from seeds (count, ...), with the numbers of `ReachErrors` and the
+        tolerances.
+        """
         count = next(iter(seeds.values())).shape[0]
         start = {name: value[0] for name, value in seeds.items()}
-        e, J = self._errors(start, targets)
+        e, J = self._errors(start, targets, numbers)
         zero, damping = jnp.zeros((), dtype=jnp.int32), jnp.asarray(self._options.damping, e.dtype)
         last = jax.lax.while_loop(
-            lambda s: (s.seed < count) & ~self.reached(s.e),
-            lambda s: self._next(s, targets, seeds, count),
+            lambda s: (s.seed < count) & ~self.reached(s.e, numbers),
+            lambda s: self._next(s, targets, seeds, numbers),
             ReachState(start, e, J, damping, zero, zero, zero, zero, start, jnp.sum(e * e)),
         )
-        x = self._improved(last.best, targets) if self._errors.has_secondary else last.best
-        e, J = self._errors(x, targets)
+        x = self._improved(last.best, targets, numbers) if self._errors.has_secondary else last.best
+        e, J = self._errors(x, targets, numbers)
         free, share = self._steepness(x, e, J)
         return SearchEnd(x, e, free, share, last.minima, jnp.minimum(last.seed + 1, count), last.steps)
 
@@ -111,12 +110,11 @@ class SeededSearch:
             return J.T @ self._solve(J @ J.T + mu * np.eye(rows, dtype=e.dtype), e)
         return self._solve(J.T @ J + mu * np.eye(n, dtype=e.dtype), J.T @ e)
 
-    def reached(self, e: jax.Array) -> jax.Array:
+    def reached(self, e: jax.Array, numbers: Arrays) -> jax.Array:
         """Whether every position, every rotation, every task and every constraint is within its tolerance."""
-        options = self._options
-        turn = options.angle_tolerance * self._errors.length
+        turn = numbers["angle_tolerance"] * numbers["length"]
         within = [
-            jnp.sum(e[block] ** 2) <= (turn if is_turn else options.position_tolerance) ** 2
+            jnp.sum(e[block] ** 2) <= (turn if is_turn else numbers["position_tolerance"]) ** 2
             for block, is_turn in zip(self._errors.blocks, self._errors.turns, strict=True)
         ]
         return jnp.all(jnp.stack(within))
@@ -128,16 +126,16 @@ class SeededSearch:
         solution: jax.Array = self._solves[size](0.0, {"G": G, "e": e})
         return solution
 
-    def _next(self, s: ReachState, targets: Arrays, seeds: Arrays, count: int) -> ReachState:
+    def _next(self, s: ReachState, targets: Arrays, seeds: Arrays, numbers: Arrays) -> ReachState:
         """One step, or the start from the next seed."""
-        options = self._options
+        options, count = self._options, next(iter(seeds.values())).shape[0]
         free, share = self._steepness(s.x, s.e, s.J)
         minimum = (share <= options.flat) | (s.damping > options.most)
         ended = minimum | (s.step >= options.iterations)
         seed = s.seed + ended.astype(jnp.int32)
         fresh = {name: value[jnp.minimum(seed, count - 1)] for name, value in seeds.items()}
         trial = {name: jnp.where(ended, fresh[name], value) for name, value in self._stepped(s, free).items()}
-        e, J = self._errors(trial, targets)
+        e, J = self._errors(trial, targets, numbers)
         before, after = jnp.sum(s.e * s.e), jnp.sum(e * e)
         kept = ended | (after < before)
         damping = jnp.where(kept, jnp.maximum(s.damping * options.shrink, options.least), s.damping * options.grow)
@@ -170,15 +168,15 @@ class SeededSearch:
 
     # ---- secondary tasks ---------------------------------------------------------------------------------------------
 
-    def _improved(self, x: Arrays, targets: Arrays) -> Arrays:
+    def _improved(self, x: Arrays, targets: Arrays, numbers: Arrays) -> Arrays:
         """Positions, starting from x, at which secondary tasks have a smaller error; x if the target is not reached.
 
         Steps of damped least squares of $|e|^2 + s |e_2|^2$, with the share s of the secondary tasks falling to nearly
         zero: they move along the solutions of the others.
         """
         options, count = self._options, self._options.iterations
-        e, J = self._errors(x, targets)
-        e2, J2 = self._errors.secondary(x)
+        e, J = self._errors(x, targets, numbers)
+        e2, J2 = self._errors.secondary(x, numbers)
         first, last = np.log(options.first_share), np.log(options.last_share)
 
         def step(k: jax.Array, carry: Any) -> Any:
@@ -190,7 +188,7 @@ class SeededSearch:
             mu = damping * share * jnp.sum(e2 * e2) + np.finfo(e.dtype).eps * (jnp.sum(J * J) + 1.0)
             d = self._solve(G + mu * np.eye(len(slope), dtype=e.dtype), jnp.where(free, slope, 0.0))
             trial = self._errors.space.moved(x, d)
-            after, after2 = self._errors(trial, targets), self._errors.secondary(trial)
+            after, after2 = self._errors(trial, targets, numbers), self._errors.secondary(trial, numbers)
             before = jnp.sum(e * e) + share * jnp.sum(e2 * e2)
             kept = jnp.sum(after[0] ** 2) + share * jnp.sum(after2[0] ** 2) < before
             damping = jnp.where(kept, jnp.maximum(damping * options.shrink, options.least), damping * options.grow)
@@ -199,5 +197,5 @@ class SeededSearch:
 
         start = (x, jnp.asarray(options.damping, e.dtype), e, J, e2, J2)
         improved, _, at_end, _, smaller, _ = jax.lax.fori_loop(0, count, step, start)
-        kept = self.reached(e) & self.reached(at_end) & (jnp.sum(smaller**2) < jnp.sum(e2**2))
+        kept = self.reached(e, numbers) & self.reached(at_end, numbers) & (jnp.sum(smaller**2) < jnp.sum(e2**2))
         return {name: jnp.where(kept, improved[name], value) for name, value in x.items()}

@@ -87,7 +87,7 @@ class MjcfText:
         elif body.joint.dofs and not self._has_mass(body):
             raise ModelError(
                 f"to_mjcf: link {body.name!r} moves, but neither it nor a link that is fixed to it has "
-                f"mass, which MuJoCo requires.\n  fix: with_inertia({{...: SpatialInertia(...)}})"
+                f"mass, which MuJoCo requires.\n  fix: with_inertia({{{body.name!r}: SpatialInertia(...)}})"
             )
         self._add_shapes(element, body.name, body.shapes)
         for carried in self._children[body.name]:
@@ -111,7 +111,7 @@ class MjcfText:
             raise ModelError(
                 "to_mjcf: MuJoCo requires a positive mass, positive principal moments, and no principal "
                 f"moment above the sum of the other two, got {float(mass)} kg and {moments.tolist()} kg m2 of {of}.\n"
-                "  fix: with_inertia({{...: SpatialInertia(...)}})"
+                f"  fix: with_inertia({{{name!r}: SpatialInertia(...)}})"
             )
         moments[2] = min(moments[2], moments[0] + moments[1])  # of a flat body, up to round-off
         T = np.eye(4)
