@@ -66,6 +66,54 @@ def test_it_allocates_nothing_and_has_the_size_that_the_header_states(tmp_path: 
     assert workspace(controller.to_c(tmp_path / "less", name="loop", memory=fast - 1).header.read_text()) == size
 
 
+def test_in_single_precision_plans_are_those_of_double(tmp_path: Path) -> None:
+    """A file without doubles, in half of the memory, whose plans differ by rounding; nothing is promoted."""
+    controller = full(regulator())
+    double = controller.to_c(tmp_path / "double", name="loop", memory=0)
+    files = controller.to_c(tmp_path, name="loop", memory=0, dtype=np.float32)
+    header, source = files.header.read_text(), files.source.read_text()
+    assert "double" not in header + source
+    assert workspace(header) < 0.55 * workspace(double.header.read_text())
+    target, made = tmp_path / "test", tmp_path / "loop.o"
+    single = ["-O0", "-Wdouble-promotion", "-Wfloat-conversion"]
+    checked = ["-fsanitize=undefined,address", "-fno-sanitize-recover"]
+    built([*single, *checked, str(files.source), str(files.test), "-lm", "-o", str(target)])
+    ran = subprocess.run([str(target)], capture_output=True, text=True)
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+    assert ran.stdout.count("status 0") == 5
+    built([*single, "-c", str(files.source), "-o", str(made)])
+    names = subprocess.run(["nm", str(made)], capture_output=True, text=True, check=True).stdout
+    assert set(re.findall(r" U (\w+)", names)) <= {"memcpy", "memset", "logf", "log10f", "powf", "sqrtf"}
+    with pytest.raises(tx.InputError, match="dtype expects float64 or float32, got int64"):
+        controller.to_c(tmp_path, name="loop", dtype=np.int64)
+
+
+def test_gains_and_statuses_in_single_precision(tmp_path: Path) -> None:
+    controller = full(regulator())
+    files = controller.to_c(tmp_path, name="loop", dtype=np.float32)
+    target = tmp_path / "loop.so"
+    built(["-O0", "-shared", "-fPIC", str(files.source), "-lm", "-o", str(target)])
+    library, header = ctypes.CDLL(str(target)), files.header.read_text()
+    of_solve, of_gains = (np.zeros(int(n) // 4, np.float32) for n in re.findall(r"(\d+) bytes", header))
+    pointers = lambda *arrays: [ctypes.c_void_p(a.ctypes.data) for a in arrays]  # noqa: E731
+    p, v, u, gains, report = (np.array(a, np.float32) for a in ([0.1], [0.0], [0.0], [0.0, 0.0], np.zeros(5)))
+    library.loop_init(*pointers(of_solve))
+    assert library.loop_feedback(*pointers(of_solve, p, v, u), None, None, *pointers(report)) == 0
+    expected = controller.feedback({"p": 0.1, "v": 0.0})["u"]
+    assert u[0] == pytest.approx(float(expected), abs=1e-3)
+    status, (_, violation, error) = report[:1].view(np.int32)[0], report[2:]
+    allowed = re.search(r"error is at most (\S+) and its violation at most (\S+),", header)
+    assert allowed is not None
+    assert status == 0
+    assert error <= float(allowed[1])
+    assert violation <= float(allowed[2])
+    assert library.loop_gains(*pointers(of_solve, of_gains, gains)) == 0
+    np.testing.assert_allclose(gains, controller.gains["u"].ravel(), rtol=1e-2)
+    plan, p[0] = of_solve.copy(), np.nan
+    assert library.loop_feedback(*pointers(of_solve, p, v, u), None, None, None) == 4
+    np.testing.assert_array_equal(of_solve, plan)
+
+
 def test_parameters_and_time_limits_count(tmp_path: Path) -> None:
     controller = full(regulator())
     files = controller.to_c(tmp_path, name="loop")

@@ -40,6 +40,9 @@ class CoreStatus(enum.Enum):
     ACCEPTABLE = 9
 
 
+#: Bytes of a number in Python's core.
+_DOUBLE = 8
+
 #: That of a problem whose bounds or units cannot be.
 _BAD_PROBLEM = 7
 
@@ -252,7 +255,7 @@ def solve(
         setattr(problem, name, address)
     chosen = dataclasses.replace(options or Options(), warm_start=float(warm is not None)).as_structure()
     core = library()
-    workspace = np.empty(core.workspace_size(ctypes.byref(problem)))
+    workspace = np.empty(core.workspace_size(ctypes.byref(problem), _DOUBLE))
     log = np.zeros((int(chosen.iterations) + 1, 10))
     statistics.log, statistics.log_rows = log.ctypes.data, len(log)
     multipliers = SolutionStructure(*(arrays[name].ctypes.data for name in MULTIPLIERS))

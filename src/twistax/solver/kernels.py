@@ -10,7 +10,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import numpy as np
@@ -85,7 +85,8 @@ class BatchKernel:
     Attributes:
         structure: its address, arguments and numbers, for the core.
         owner: what the address belongs to.
-        written: what gives the function as a program of scalars anew, its arguments, and values of its numbers.
+        written: what gives the function as a program of scalars of a type anew, its arguments, and values of its
+            numbers.
     """
 
     def __init__(
@@ -94,7 +95,7 @@ class BatchKernel:
         reads: list[Argument],
         owner: Any,
         numbers: Array | None = None,
-        written: Callable[[], ScalarForm] | None = None,
+        written: Callable[[np.dtype[Any]], ScalarForm] | None = None,
     ) -> None:
         self.owner, self._numbers, self.written = owner, numbers, written
         self._reads, self._address = reads, address
@@ -170,7 +171,7 @@ class _Unbound:
         callback = Callback(function, shapes)
         return cls(callback.address, arguments, callback)
 
-    def bound(self, numbers: Array, written: Callable[[], ScalarForm] | None = None) -> BatchKernel:
+    def bound(self, numbers: Array, written: Callable[[np.dtype[Any]], ScalarForm] | None = None) -> BatchKernel:
         if self._before is not None:
             inputs = [np.zeros((1, a.size)) for a in self._before.inputs]
             inputs[self._place] = numbers[None]
@@ -232,12 +233,13 @@ class SmoothKernels:
         made = make() if key is None else _CACHE.get((key, tuple(sizes.items()), order), make)
         self.rows = made.rows
         self._made, self._numbers = made, numbers
+        self._trace = functools.cache(functools.partial(_traced, function, sizes))
 
     @functools.cached_property
     def kernels(self) -> list[BatchKernel]:
         """Of the values and of the derivatives; waits for their machine code."""
         return [
-            pending.kernel.bound(self._numbers, functools.partial(pending.written, self._numbers))
+            pending.kernel.bound(self._numbers, functools.partial(pending.written, self._trace, self._numbers))
             for pending in self._made.kernels
         ]
 
@@ -246,6 +248,9 @@ class SmoothKernels:
         """For the core."""
         return SmoothStructure(*(kernel.structure for kernel in self.kernels), rows=self.rows)
 
+
+#: A function as a jaxpr in numbers of a type.
+Trace: TypeAlias = Callable[[np.dtype[Any]], ClosedJaxpr]
 
 #: One thread makes machine code, so that it shares Python with the one that traces alone.
 _COMPILING = threading.Lock()
@@ -260,8 +265,7 @@ class _Made:
     def __init__(self, function: Callable[..., Any], arguments: Mapping[Argument, int], order: int) -> None:
         names, sizes = list(arguments), [(size,) for size in arguments.values()]
         with in_double():
-            shaped = [jax.ShapeDtypeStruct(size, np.dtype(float)) for size in sizes]
-            closed = jax.make_jaxpr(lambda *a: [function(*a)])(*shaped)
+            closed = _traced(function, arguments, np.dtype(float))
             (result,) = closed.out_avals
             self.rows = int(result.size)
             plain = lambda *a: jaxpr_as_fun(closed)(*a)[0]  # noqa: E731
@@ -313,14 +317,22 @@ class _Pending:
             self._function = None
             return self._kernel
 
-    def written(self, numbers: Array) -> ScalarForm:
+    def written(self, trace: Trace, numbers: Array, dtype: np.dtype[Any]) -> ScalarForm:
         """The function as a program of scalars, made anew.
 
+        Args:
+            trace: the function in numbers of a type; series and thresholds are those of the type.
         Raises:
             ModelError, NotNative: it has no scalar form.
         """
-        with in_double():
-            return ScalarForm(native_form(self._maker(self._closed)), self._arguments, numbers)
+        with jax.enable_x64(dtype == np.float64):
+            closed = self._closed if dtype == np.float64 else trace(dtype)
+            return ScalarForm(native_form(self._maker(closed)), self._arguments, numbers)
+
+
+def _traced(function: Callable[..., Any], sizes: Mapping[Argument, int], dtype: np.dtype[Any]) -> ClosedJaxpr:
+    shaped = [jax.ShapeDtypeStruct((size,), dtype) for size in sizes.values()]
+    return jax.make_jaxpr(lambda *a: [function(*a)])(*shaped)
 
 
 def _value(closed: ClosedJaxpr) -> ScalarProgram:

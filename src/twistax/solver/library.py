@@ -37,7 +37,7 @@ class Library:
     """The core's functions for ctypes. They release Python's global lock, so that threads solve in parallel.
 
     Attributes:
-        workspace_size: doubles that a problem needs.
+        workspace_size: numbers of so many bytes that a problem needs.
         solve: see core.h.
         phase_work, phase_scratch: doubles that a phase needs, for its functions and for their derivatives.
         phase_states: where a substep ends in the last integration.
@@ -51,7 +51,7 @@ class Library:
     def __init__(self, code: MachineCode) -> None:
         self._code = code  # the memory of the functions
         size, solve, work, scratch, states, qp_size, qp_solve, *members = (code.addresses[name] for name in _NAMES)
-        self.workspace_size = ctypes.CFUNCTYPE(ctypes.c_size_t, _VOID_POINTER)(size)
+        self.workspace_size = ctypes.CFUNCTYPE(ctypes.c_size_t, _VOID_POINTER, ctypes.c_size_t)(size)
         self.phase_work = ctypes.CFUNCTYPE(ctypes.c_size_t, _VOID_POINTER)(work)
         self.phase_scratch = ctypes.CFUNCTYPE(ctypes.c_size_t, _VOID_POINTER)(scratch)
         self.phase_states = ctypes.CFUNCTYPE(None, _VOID_POINTER, ctypes.c_int32, _VOID_POINTER)(states)

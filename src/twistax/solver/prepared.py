@@ -68,7 +68,7 @@ class PreparedSolve:
         self._stop = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_int32, ctypes.c_void_p)(stop)
         self._stop_address = ctypes.cast(self._stop, ctypes.c_void_p).value
         core = library()
-        self._workspace = np.empty(core.workspace_size(ctypes.byref(problem)))
+        self._workspace = np.empty(core.workspace_size(ctypes.byref(problem), self._memory.itemsize))
         places = dict(zip(sizes, parts, strict=True))
         self._solution = SolutionStructure(*(places[name].ctypes.data for name in MULTIPLIERS))
         self._call = core.solve
@@ -113,12 +113,14 @@ class PreparedSolve:
         """Go back to what was saved."""
         self._memory[:], self.lower[:], self.upper[:] = saved
 
-    def workspace_doubles(self, **layout: int) -> int:
-        """Doubles of the core's workspace where numbers of `twx_problem` that lay it out are these."""
+    def workspace_numbers(self, bytes_each: int, **layout: int) -> int:
+        """Numbers of the core's workspace, each of so many bytes, where numbers of `twx_problem` that lay it out are
+        these.
+        """
         problem = ProblemStructure.from_buffer_copy(self._described.structure)
         for name, value in layout.items():
             setattr(problem, name, value)
-        return int(library().workspace_size(ctypes.byref(problem)))
+        return int(library().workspace_size(ctypes.byref(problem), bytes_each))
 
     def measure(self, name: str) -> float:
         """A number of the last solve, as `CoreSolution.statistics` names it."""

@@ -48,6 +48,9 @@ _FILES = (
 
 _INCLUDE = re.compile(r'^#include "(?P<name>\w+\.\w+)"\n', re.MULTILINE)
 
+#: What real.h says of single precision and of double.
+_OF_PRECISION = re.compile(r"^#ifdef TWX_SINGLE\n(?P<single>.*?)^#else\n(?P<double>.*?)^#endif\n", re.M | re.S)
+
 
 def header() -> str:
     """The interface in C: structures, statuses and functions, with the options expanded."""
@@ -68,11 +71,12 @@ def amalgamation() -> str:
 _IN_PYTHON = ("options", "members", "handler", "cholesky", "squares", "squares_handler")
 
 
-def controller_core(**sizes: int) -> str:
+def controller_core(single: bool, **sizes: int) -> str:
     """The part of the core that solves transcribed problems, as one C99 file whose only external names begin with
     `twx_`.
 
     Args:
+        single: whether it computes in single precision.
         sizes: constants of the file, so that loops over them are unrolled: `states`, `controls` and `parameters` of an
             interval, `inequalities` and `equalities` of all, `stages` of the method.
     """
@@ -82,7 +86,7 @@ def controller_core(**sizes: int) -> str:
     # Inline, so that a function which is not called is no warning.
     parts += [
         "#define TWX_INTERNAL static inline\n",
-        _expanded(_read("core.h")),
+        _OF_PRECISION.sub(r"\g<single>" if single else r"\g<double>", _expanded(_read("core.h"))),
         _expanded(_read("transcription.h"), drop),
     ]
     parts += [_INCLUDE.sub("", _read(name)) for name in inner]
@@ -95,7 +99,8 @@ def squares_core() -> str:
     inner = ("dense.h", "qp_work.h")
     headers = ["qp.h", "squares.h"]
     # Inline, so that a function which is not called is no warning.
-    parts = ["#define TWX_INTERNAL static inline\n", *(_expanded(_read(name), (*inner, *headers)) for name in headers)]
+    parts = ["#define TWX_INTERNAL static inline\n", _read("real.h")]
+    parts += [_expanded(_read(name), (*inner, *headers)) for name in headers]
     parts += [_INCLUDE.sub("", _read(name)) for name in inner]
     kept = [name for name in _FILES if name in ("dense", "cholesky", "squares") or name.startswith("qp")]
     return "\n".join([*parts, *(_expanded(_read(f"{name}.c"), (*inner, *headers)) for name in kept)])

@@ -224,12 +224,12 @@ class Transcription:
         """The arrays that structures point to, by address."""
         return {array.ctypes.data: array for array in self._memory if isinstance(array, np.ndarray)}
 
-    def phase_doubles(self, phase: int, window: int) -> tuple[int, int]:
-        """Doubles of the memory of a phase, for functions and for derivatives, where so many intervals are evaluated
-        together.
+    def phase_numbers(self, phase: int, window: int, shared_width: int) -> tuple[int, int]:
+        """Numbers of the memory of a phase, for functions and for derivatives, where so many intervals are evaluated
+        together, and the rate shares so many functions.
         """
         structure = PhaseStructure.from_buffer_copy(self._structures[phase])
-        structure.window = window
+        structure.window, structure.rate.shared_width = window, shared_width
         return _doubles(structure)
 
     @property

@@ -20,6 +20,7 @@
 #define TWX_CORE_H
 #include <stddef.h>
 #include <stdint.h>
+#include "real.h"
 
 typedef enum {
   TWX_SOLVED = 0,            /* the scaled error is at most the tolerance; so is the excess of the cost, where measured */
@@ -35,12 +36,12 @@ typedef enum {
 } twx_status;
 
 typedef struct { /* weights of a sum of functions, in the problem's units */
-  double cost;
-  const double *lambda, *y, *ye;
+  real cost;
+  const real *lambda, *y, *ye;
 } twx_multipliers;
 
 typedef struct { /* where derivatives are written, as `jacobians` and `hessians` have them; H may be NULL */
-  double *gradient, *F, *Jh, *Je, *H;
+  real *gradient, *F, *Jh, *Je, *H;
 } twx_derivatives;
 
 /* Functions return 0, or another number where the point must be rejected. Outputs of values, jacobians and hessians are
@@ -54,45 +55,45 @@ typedef struct {
   const int32_t *equalities;  /* (N + 1) rows of e_k */
   const int32_t *point_states; /* (N + 1) entries of z_k, or NULL where z_k is x_k */
   const int32_t *flat;        /* of v: where z has the entry itself, or -1; NULL: nowhere. Those bounded by 0 are kept equal */
-  const double *lower, *upper; /* of v; infinite where there is none; equal where an entry of x_0, u or p is fixed */
-  const double *size;         /* of v: units in which the core counts, or NULL for 1 */
-  const double *row_size, *equality_size; /* units of the rows h and e, or NULL for 1 */
-  double cost_size;           /* unit of the cost */
-  const double *largest_step; /* of v: how far a step may move an entry, negative: a share of what it is; NULL: any distance */
+  const real *lower, *upper; /* of v; infinite where there is none; equal where an entry of x_0, u or p is fixed */
+  const real *size;         /* of v: units in which the core counts, or NULL for 1 */
+  const real *row_size, *equality_size; /* units of the rows h and e, or NULL for 1 */
+  real cost_size;           /* unit of the cost */
+  const real *largest_step; /* of v: how far a step may move an entry, negative: a share of what it is; NULL: any distance */
   void *user;
-  int32_t (*values)(void *user, const double *z, double *cost, double *c, double *h, double *e);
+  int32_t (*values)(void *user, const real *z, real *cost, real *c, real *h, real *e);
   /* gradient of the cost by v; by (x_k, u_k, p): F_k of c_k (without the -1 of x_(k+1)), rows of h_k and e_k */
-  int32_t (*jacobians)(void *user, const double *z, double *gradient, double *F, double *Jh, double *Je);
+  int32_t (*jacobians)(void *user, const real *z, real *gradient, real *F, real *Jh, real *Je);
   /* second derivatives of weight * cost + lambda . c + y . h + ye . e by (x_k, u_k, p) of each stage */
-  int32_t (*hessians)(void *user, const double *z, double weight, const double *lambda, const double *y,
-                      const double *ye, double *H);
+  int32_t (*hessians)(void *user, const real *z, real weight, const real *lambda, const real *y,
+                      const real *ye, real *H);
   /* moved = z moved by d, a step of v; NULL where z is v */
-  int32_t (*retract)(void *user, const double *z, const double *d, double *moved);
+  int32_t (*retract)(void *user, const real *z, const real *d, real *moved);
   /* multipliers of c about the node that `retract` moved by d; NULL where they stay */
-  int32_t (*transport)(void *user, const double *d, double *lambda);
-  int32_t (*stop)(void *user, int32_t iteration, const double *z); /* asked once an iteration; NULL: never */
+  int32_t (*transport)(void *user, const real *d, real *lambda);
+  int32_t (*stop)(void *user, int32_t iteration, const real *z); /* asked once an iteration; NULL: never */
   /* Both derivatives at once, where that saves work; NULL: `jacobians` and `hessians` are called. */
-  int32_t (*derivatives)(void *user, const double *z, const twx_multipliers *weights, const twx_derivatives *result);
-  size_t scratch;             /* doubles at the start of the workspace that functions may overwrite while they differentiate */
+  int32_t (*derivatives)(void *user, const real *z, const twx_multipliers *weights, const twx_derivatives *result);
+  size_t scratch;             /* numbers at the start of the workspace that functions may overwrite while they differentiate */
   int32_t filter_rows;        /* entries of the filter, 0: 400. A solve adds one an iteration at most */
   int32_t without_watchdog;   /* 1: there is no memory for it, which solves of few iterations do not need */
   int32_t discards;           /* 1: a solve whose iterate has no meaning leaves z and the solution as they were */
 } twx_problem;
 
-#define OPTION(name, value, source) double name;
+#define OPTION(name, value, source) real name;
 typedef struct {
 #include "options.def"
 } twx_options;
 #undef OPTION
 
 typedef struct { /* one iteration */
-  double cost, violation, stationarity, barrier, identity, step, step_multipliers, length, trials, kind;
+  real cost, violation, stationarity, barrier, identity, step, step_multipliers, length, trials, kind;
 } twx_record;
 
 typedef struct {
-  double cost, error, stationarity, violation, complementarity, barrier, cost_scale;
-  double minimum;             /* 1: of a solution, the second-order conditions of a minimum hold */
-  double excess, worth;       /* estimate of the cost less that of the minimum nearby, NaN where there is none, and what it is
+  real cost, error, stationarity, violation, complementarity, barrier, cost_scale;
+  real minimum;             /* 1: of a solution, the second-order conditions of a minimum hold */
+  real excess, worth;       /* estimate of the cost less that of the minimum nearby, NaN where there is none, and what it is
                                  measured by */
   int32_t status, iterations, evaluations, factorizations, corrections, restorations, restoration_iterations,
       filter_resets, inertia_corrections;
@@ -100,9 +101,9 @@ typedef struct {
   int32_t log_rows;
 } twx_statistics;
 
-/* Doubles of a solution: v | s, slacks of h | lambda | y | ye | zl, zu of the bounds of v. */
+/* Numbers of a solution: v | s, slacks of h | lambda | y | ye | zl, zu of the bounds of v. */
 typedef struct {
-  double *v, *s, *lambda, *y, *ye, *zl, *zu;
+  real *v, *s, *lambda, *y, *ye, *zl, *zu;
 } twx_solution;
 
 /* Counts by which arrays are made; 0 where the sizes cannot be. */
@@ -115,19 +116,20 @@ const char *twx_option_name(int32_t i);
 const char *twx_option_source(int32_t i);
 void twx_defaults(twx_options *options);
 int32_t twx_count(const twx_problem *problem, twx_counts *counts);
-size_t twx_workspace_size(const twx_problem *problem); /* in doubles; 0 where the sizes cannot be */
+/* In numbers of so many bytes, those of a `real` for `twx_solve`; 0 where the sizes cannot be. */
+size_t twx_workspace_size(const twx_problem *problem, size_t bytes);
 
 /* Solve from z and v = solution->v. Both hold the result; multipliers are those of the problem as stated, unscaled. */
-int32_t twx_solve(const twx_problem *problem, const twx_options *options, double *z, twx_solution *solution,
-                  double *workspace, twx_statistics *statistics);
+int32_t twx_solve(const twx_problem *problem, const twx_options *options, real *z, twx_solution *solution,
+                  real *workspace, twx_statistics *statistics);
 
 /* A solution, its multipliers, and weights multiplier / slack of bounds (by v) and of inequalities. */
 typedef struct {
-  const double *z, *lambda, *y, *ye, *bound_weights, *row_weights;
+  const real *z, *lambda, *y, *ye, *bound_weights, *row_weights;
 } twx_point;
 
 /* The moves of a solution for `count` right sides v | c | h | e | cost, in place; see linearised.c. Returns TWX_SOLVED,
  * or TWX_UNBOUNDED_CURVATURE where the solution is no strict minimum. */
 int32_t twx_linearised(const twx_problem *problem, const twx_options *options, const twx_point *at, int32_t transposed,
-                       int32_t count, double *sides, double *workspace);
+                       int32_t count, real *sides, real *workspace);
 #endif

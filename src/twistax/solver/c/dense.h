@@ -1,10 +1,10 @@
 /* Products of small column-major matrices, and what else all files of the core read. */
 #ifndef TWX_DENSE_H
 #define TWX_DENSE_H
-#include <math.h>
 #include <stddef.h>
 #include <stdint.h>
 #include <string.h>
+#include "real.h"
 
 #ifndef TWX_INTERNAL /* `static` where all files are one */
 #define TWX_INTERNAL extern
@@ -19,14 +19,14 @@
 #define TWX_SMALL TWX_INTERNAL
 #endif
 
-static inline double twx_max(double a, double b) { return a > b ? a : b; } /* b where a is not a number */
-static inline double twx_min(double a, double b) { return a < b ? a : b; }
+static inline real twx_max(real a, real b) { return a > b ? a : b; } /* b where a is not a number */
+static inline real twx_min(real a, real b) { return a < b ? a : b; }
 
 /* dense.c: C += A B, C += A' B, y += A x, y += A' x. */
-TWX_SMALL void twx_add_product(int32_t m, int32_t n, int32_t k, const double *A, int32_t la, const double *B, int32_t lb, double *C, int32_t lc);
-TWX_SMALL void twx_add_product_transposed(int32_t m, int32_t n, int32_t k, const double *A, int32_t la, const double *B, int32_t lb, double *C, int32_t lc);
-TWX_SMALL void twx_add_dots(int32_t m, int32_t k, double factor, const double *A, int32_t la, const double *b, double *out, int32_t stride);
-TWX_SMALL void twx_add_sums(int32_t m, int32_t k, double factor, const double *A, int32_t la, const double *b, double *out);
-TWX_SMALL void twx_add_apply(int32_t m, int32_t n, const double *A, int32_t la, const double *x, double *y);
-TWX_SMALL void twx_add_apply_transposed(int32_t m, int32_t n, const double *A, int32_t la, const double *x, double *y);
+TWX_SMALL void twx_add_product(int32_t m, int32_t n, int32_t k, const real *A, int32_t la, const real *B, int32_t lb, real *C, int32_t lc);
+TWX_SMALL void twx_add_product_transposed(int32_t m, int32_t n, int32_t k, const real *A, int32_t la, const real *B, int32_t lb, real *C, int32_t lc);
+TWX_SMALL void twx_add_dots(int32_t m, int32_t k, real factor, const real *A, int32_t la, const real *b, real *out, int32_t stride);
+TWX_SMALL void twx_add_sums(int32_t m, int32_t k, real factor, const real *A, int32_t la, const real *b, real *out);
+TWX_SMALL void twx_add_apply(int32_t m, int32_t n, const real *A, int32_t la, const real *x, real *y);
+TWX_SMALL void twx_add_apply_transposed(int32_t m, int32_t n, const real *A, int32_t la, const real *x, real *y);
 #endif

@@ -1,20 +1,20 @@
 /* Which equalities the controls of their stage decide: these are eliminated with them, others stand in the border. */
 #include "work.h"
 
-#define DECIDED 1e-2 /* of a row: how much of it must be controls that no other row moves */
+#define DECIDED ((real)1e-2) /* of a row: how much of it must be controls that no other row moves */
 
 /* The part of a row's controls that is orthogonal to those of rows that came before, in `rest` (nu,): its norm over that
  * of the whole row. */
-static double decided_part(const twx_work *w, const twx_stage *s, int32_t r, const double *before, int32_t count, double *rest) {
-  double whole = 0, left = 0;
+static real decided_part(const twx_work *w, const twx_stage *s, int32_t r, const real *before, int32_t count, real *rest) {
+  real whole = 0, left = 0;
   for (int32_t j = 0; j < s->n; j++) {
-    const double entry = w->Je[s->Je + (size_t)r + (size_t)j * (size_t)s->ne];
+    const real entry = w->Je[s->Je + (size_t)r + (size_t)j * (size_t)s->ne];
     const int32_t control = j - s->nx;
     whole += entry * entry;
     if (control >= 0 && control < s->nu) rest[control] = w->free[s->v + (size_t)j] == 0 ? 0 : entry;
   }
   for (int32_t other = 0; other < count; other++) {
-    double along = 0;
+    real along = 0;
     for (int32_t j = 0; j < s->nu; j++) along += before[(size_t)other * (size_t)s->nu + (size_t)j] * rest[j];
     for (int32_t j = 0; j < s->nu; j++) rest[j] -= along * before[(size_t)other * (size_t)s->nu + (size_t)j];
   }
@@ -27,7 +27,7 @@ static double decided_part(const twx_work *w, const twx_stage *s, int32_t r, con
 void twx_place_equalities(twx_work *w) {
   w->nbe = 0;
   FOR_STAGES(w, k, s) {
-    double *const before = w->t1; /* an orthonormal basis of the rows' controls */
+    real *const before = w->t1; /* an orthonormal basis of the rows' controls */
     int32_t count = 0;
     for (int32_t r = 0; r < s->ne; r++) {
       const int32_t decided = count < s->nu && decided_part(w, s, r, before, count, before + (size_t)count * (size_t)s->nu) >= DECIDED;

@@ -2,22 +2,22 @@
 #include "work.h"
 
 /* a <= b but for rounding of numbers as large as `base`. */
-int32_t twx_at_most(double a, double b, double base) { return a - b <= 10 * TWX_EPSILON * fabs(base); }
+int32_t twx_at_most(real a, real b, real base) { return a - b <= 10 * TWX_EPSILON * fabs(base); }
 
-int32_t twx_filter_accepts(const twx_work *w, double violation, double barrier) {
+int32_t twx_filter_accepts(const twx_work *w, real violation, real barrier) {
   for (int32_t i = 0; i < w->filter_rows; i++) {
-    const double *row = w->filter + 2 * i;
+    const real *row = w->filter + 2 * i;
     if (!twx_at_most(violation, row[0], row[0]) && !twx_at_most(barrier, row[1], row[1])) return 0;
   }
   return 1;
 }
 
 /* (22); rows that the new one covers are dropped. */
-void twx_filter_add(twx_work *w, double violation, double barrier) {
-  const double most = (1 - w->options->filter_violation) * violation, least = barrier - w->options->filter_barrier * violation;
+void twx_filter_add(twx_work *w, real violation, real barrier) {
+  const real most = (1 - w->options->filter_violation) * violation, least = barrier - w->options->filter_barrier * violation;
   int32_t kept = 0;
   for (int32_t i = 0; i < w->filter_rows; i++) {
-    const double *row = w->filter + 2 * i;
+    const real *row = w->filter + 2 * i;
     if (row[0] >= most && row[1] >= least) continue;
     w->filter[2 * kept] = row[0], w->filter[2 * kept + 1] = row[1], kept++;
   }
@@ -26,28 +26,28 @@ void twx_filter_add(twx_work *w, double violation, double barrier) {
 }
 
 /* The switching condition (19), where the violation is small. */
-int32_t twx_switches(const twx_work *w, const twx_reference *from, double length) {
+int32_t twx_switches(const twx_work *w, const twx_reference *from, real length) {
   const twx_options *o = w->options;
   return from->violation <= w->violation_small && from->slope < 0 &&
          length * pow(-from->slope, o->switch_slope) > o->switch_factor * pow(from->violation, o->switch_violation);
 }
 
 /* The Armijo condition (20). */
-int32_t twx_descends(const twx_work *w, const twx_reference *from, double length, double barrier) {
+int32_t twx_descends(const twx_work *w, const twx_reference *from, real length, real barrier) {
   return twx_at_most(barrier - from->barrier, w->options->armijo * length * from->slope, from->barrier);
 }
 
 /* Whether the barrier function grows by more decades than IPOPT allows. */
-static int32_t explodes(const twx_work *w, const twx_reference *from, double barrier) {
-  const double growth = barrier - from->barrier;
+static int32_t explodes(const twx_work *w, const twx_reference *from, real barrier) {
+  const real growth = barrier - from->barrier;
   if (!(growth > 0)) return 0;
-  return log10(growth) > w->options->barrier_growth + twx_max(1, log10(twx_max(fabs(from->barrier), 1e-300)));
+  return log10(growth) > w->options->barrier_growth + twx_max(1, log10(twx_max(fabs(from->barrier), TWX_LEAST)));
 }
 
 /* Whether the trial is acceptable for a step of this length: (18), (20) and the filter. */
-int32_t twx_accepts(const twx_work *w, twx_reference *from, double length) {
+int32_t twx_accepts(const twx_work *w, twx_reference *from, real length) {
   const twx_options *o = w->options;
-  const double violation = twx_violation(w, &w->trial, 0), barrier = twx_barrier(w, &w->trial);
+  const real violation = twx_violation(w, &w->trial, 0), barrier = twx_barrier(w, &w->trial);
   from->by_filter = 0;
   if (!isfinite(violation) || !isfinite(barrier) || violation > w->violation_large) return 0;
   if (length > 0 && twx_switches(w, from, length)) {
@@ -63,9 +63,9 @@ int32_t twx_accepts(const twx_work *w, twx_reference *from, double length) {
 }
 
 /* The length below which restoration begins (23). */
-double twx_smallest_length(const twx_work *w, const twx_reference *from) {
+real twx_smallest_length(const twx_work *w, const twx_reference *from) {
   const twx_options *o = w->options;
-  double length = o->filter_violation;
+  real length = o->filter_violation;
   if (from->slope < 0) {
     length = twx_min(length, o->filter_barrier * from->violation / -from->slope);
     if (from->violation <= w->violation_small)

@@ -1,8 +1,8 @@
 /* Calls of kernels, memory of a phase, and the small linear algebra of row-major matrices. */
 #include "phase.h"
 
-static double *next_of(double *base, size_t *used, size_t count) {
-  double *const start = base ? base + *used : NULL;
+static real *next_of(real *base, size_t *used, size_t count) {
+  real *const start = base ? base + *used : NULL;
   *used += count;
   return start;
 }
@@ -21,7 +21,7 @@ static size_t most_rows(const twx_phase *f) {
   return f->join ? twx_most(rows, (size_t)f->join->function.rows) : rows;
 }
 
-twx_phase_sizes twx_lay_out(twx_memory *t, const twx_phase *f, double *work, double *scratch) {
+twx_phase_sizes twx_lay_out(twx_memory *t, const twx_phase *f, real *work, real *scratch) {
   const size_t n = (size_t)f->n, size = n + (size_t)f->m + (size_t)f->p, rows = most_rows(f), K = twx_window_of(f);
   const size_t S = (size_t)f->substeps, s = (size_t)f->stages, all = S * s, sn = f->implicit ? s * n : 0;
   const size_t lanes = (K + TWX_LANES - 1) / TWX_LANES * TWX_LANES, joined = f->join ? (size_t)f->join->function.rows : 0;
@@ -43,7 +43,7 @@ twx_phase_sizes twx_lay_out(twx_memory *t, const twx_phase *f, double *work, dou
   t->along = next_of(scratch, &used.scratch, f->implicit ? s * lanes * n * size : 0);
   t->H = next_of(scratch, &used.scratch, lanes * size * size), t->map = next_of(scratch, &used.scratch, n * size);
   t->turns = t->lane_rows = next_of(scratch, &used.scratch, twx_most(block, K * n * n));
-  t->lane_moved = next_of(scratch, &used.scratch, block), t->list = (int32_t *)(void *)next_of(scratch, &used.scratch, size);
+  t->lane_moved = next_of(scratch, &used.scratch, block), t->list = (int32_t *)(void *)next_of(scratch, &used.scratch, 2 * size);
   t->through = next_of(scratch, &used.scratch, s * K * n), t->pulls = next_of(scratch, &used.scratch, t->points * K * n);
   t->gap_slopes = t->row_slopes = next_of(scratch, &used.scratch, K * twx_most(rows * size, n * n));
   t->adjoint = next_of(scratch, &used.scratch, K * n), t->bends = next_of(scratch, &used.scratch, K * size * size);
@@ -70,16 +70,16 @@ size_t twx_phase_scratch(const twx_phase *f) {
   return twx_lay_out(&t, f, NULL, NULL).scratch;
 }
 
-void twx_call(const twx_kernel *f, const twx_memory *t, twx_inputs in, size_t rows, double *result, size_t size) {
+void twx_call(const twx_kernel *f, const twx_memory *t, twx_inputs in, size_t rows, real *result, size_t size) {
   const int64_t stride = t->phase->point + t->phase->m; /* from a node to the next */
-  const double *const target = in.target ? in.target : in.base ? in.base + stride : NULL;
-  const double *at[TWX_ARGUMENTS] = {in.z, in.share, in.base, target, t->phase->data, f->numbers, in.weights,
+  const real *const target = in.target ? in.target : in.base ? in.base + stride : NULL;
+  const real *at[TWX_ARGUMENTS] = {in.z, in.share, in.base, target, t->phase->data, f->numbers, in.weights,
                                    t->phase->node_rows + in.stage * (size_t)t->phase->node_width, in.shared};
   const int64_t strides[TWX_ARGUMENTS] = {(int64_t)in.width, 1, stride, stride, 0, 0, (int64_t)in.weight_width, t->phase->node_width,
                                           t->phase->rate.shared_width};
   int64_t table[2 * (TWX_ARGUMENTS + 1)];
   if (!f->run) {
-    memset(result, 0, sizeof(double) * rows * size);
+    memset(result, 0, sizeof(real) * rows * size);
     return;
   }
   for (int32_t i = 0; i < f->reads; i++) {
@@ -90,13 +90,13 @@ void twx_call(const twx_kernel *f, const twx_memory *t, twx_inputs in, size_t ro
   f->run(table, 0, (int64_t)rows);
 }
 
-void twx_along(size_t rows, size_t n, size_t size, const double *M, const double *maps, double *out) {
+void twx_along(size_t rows, size_t n, size_t size, const real *M, const real *maps, real *out) {
   for (size_t r = 0; r < rows; r++) {
-    const double *restrict row = M + r * size;
-    double *restrict to = out + r * size;
+    const real *restrict row = M + r * size;
+    real *restrict to = out + r * size;
     for (size_t j = 0; j < size; j++) to[j] = j < n ? 0 : row[j];
     for (size_t i = 0; i < n; i++) {
-      const double *restrict map = maps + i * size, factor = row[i];
+      const real *restrict map = maps + i * size, factor = row[i];
       if (factor != 0)
         for (size_t j = 0; j < size; j++) to[j] += factor * map[j];
     }
@@ -104,19 +104,19 @@ void twx_along(size_t rows, size_t n, size_t size, const double *M, const double
 }
 
 /* L U of a row-major matrix with rows exchanged; 0 where a pivot is zero or not a number. */
-int32_t twx_lu(size_t n, double *A, double *pivots) {
+int32_t twx_lu(size_t n, real *A, real *pivots) {
   for (size_t j = 0; j < n; j++) {
     size_t best = j;
     for (size_t i = j + 1; i < n; i++)
       if (fabs(A[i * n + j]) > fabs(A[best * n + j])) best = i;
-    pivots[j] = (double)best;
+    pivots[j] = (real)best;
     if (!(fabs(A[best * n + j]) > 0)) return 0;
     for (size_t l = 0; l < n && best != j; l++) {
-      const double kept = A[j * n + l];
+      const real kept = A[j * n + l];
       A[j * n + l] = A[best * n + l], A[best * n + l] = kept;
     }
     for (size_t i = j + 1; i < n; i++) {
-      const double factor = A[i * n + j] /= A[j * n + j];
+      const real factor = A[i * n + j] /= A[j * n + j];
       if (factor != 0)
         for (size_t l = j + 1; l < n; l++) A[i * n + l] -= factor * A[j * n + l];
     }
@@ -124,11 +124,11 @@ int32_t twx_lu(size_t n, double *A, double *pivots) {
   return 1;
 }
 
-void twx_lu_solve(size_t n, const double *A, const double *pivots, size_t columns, double *B) {
+void twx_lu_solve(size_t n, const real *A, const real *pivots, size_t columns, real *B) {
   for (size_t j = 0; j < n; j++) {
     const size_t from = (size_t)pivots[j];
     for (size_t l = 0; l < columns && from != j; l++) {
-      const double kept = B[j * columns + l];
+      const real kept = B[j * columns + l];
       B[j * columns + l] = B[from * columns + l], B[from * columns + l] = kept;
     }
   }
@@ -142,7 +142,7 @@ void twx_lu_solve(size_t n, const double *A, const double *pivots, size_t column
   }
 }
 
-void twx_lu_solve_transposed(size_t n, const double *A, const double *pivots, double *b) {
+void twx_lu_solve_transposed(size_t n, const real *A, const real *pivots, real *b) {
   for (size_t j = 0; j < n; j++) {
     b[j] /= A[j * n + j];
     for (size_t i = j + 1; i < n; i++) b[i] -= A[j * n + i] * b[j];
@@ -151,17 +151,17 @@ void twx_lu_solve_transposed(size_t n, const double *A, const double *pivots, do
     for (size_t i = 0; i < j; i++) b[i] -= A[j * n + i] * b[j];
   for (size_t j = n; j-- > 0;) {
     const size_t from = (size_t)pivots[j];
-    const double kept = b[j];
+    const real kept = b[j];
     b[j] = b[from], b[from] = kept;
   }
 }
 
 /* out (rows, columns) = A (rows, n) B (n, columns) */
-void twx_multiply(size_t rows, size_t n, size_t columns, const double *restrict A, const double *restrict B, double *restrict out) {
-  memset(out, 0, sizeof(double) * rows * columns);
+void twx_multiply(size_t rows, size_t n, size_t columns, const real *restrict A, const real *restrict B, real *restrict out) {
+  memset(out, 0, sizeof(real) * rows * columns);
   for (size_t i = 0; i < rows; i++)
     for (size_t l = 0; l < n; l++) {
-      const double factor = A[i * n + l];
+      const real factor = A[i * n + l];
       if (factor != 0)
         for (size_t j = 0; j < columns; j++) out[i * columns + j] += factor * B[l * columns + j];
     }
@@ -169,25 +169,25 @@ void twx_multiply(size_t rows, size_t n, size_t columns, const double *restrict 
 
 /* ---- rows --------------------------------------------------------------------------------------------------- */
 
-double *twx_at_stage(double *array, const int64_t *offsets, size_t k) { return array + offsets[k]; }
+real *twx_at_stage(real *array, const int64_t *offsets, size_t k) { return array + offsets[k]; }
 
 /* A row of a stage among inequalities and equalities; NULL: nowhere. */
-double *twx_row_at(const twx_phase *f, size_t k, int32_t place, double *h, double *e) {
+real *twx_row_at(const twx_phase *f, size_t k, int32_t place, real *h, real *e) {
   if (place >= 0) return twx_at_stage(h, f->at.h, k) + place;
   return place == -1 ? NULL : twx_at_stage(e, f->at.e, k) - 2 - place;
 }
 
-double twx_weight_of(const twx_phase *f, size_t k, int32_t place, const double *y, const double *ye) {
+real twx_weight_of(const twx_phase *f, size_t k, int32_t place, const real *y, const real *ye) {
   if (place >= 0) return y[f->at.h[k] + place];
   return place == -1 ? 0 : ye[f->at.e[k] - 2 - place];
 }
 
 /* Adds a row of derivatives of a stage to its block, columns of eta, then those from `after` on. */
-void twx_add_row(const twx_phase *f, size_t k, int32_t place, const double *row, size_t stride, size_t count,
-                 size_t skipped, double *Jh, double *Je) {
+void twx_add_row(const twx_phase *f, size_t k, int32_t place, const real *row, size_t stride, size_t count,
+                 size_t skipped, real *Jh, real *Je) {
   const size_t n = (size_t)f->n;
   const int32_t rows = place >= 0 ? f->at.inequalities[k] : f->at.equalities[k];
-  double *block = place >= 0 ? Jh + f->at.Jh[k] + place : Je + f->at.Je[k] - 2 - place;
+  real *block = place >= 0 ? Jh + f->at.Jh[k] + place : Je + f->at.Je[k] - 2 - place;
   if (place != -1)
     for (size_t j = 0; j < count; j++) block[(j < n ? j : j + skipped) * (size_t)rows] = row[j * stride];
 }

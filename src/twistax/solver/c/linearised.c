@@ -14,52 +14,52 @@
 static size_t side_size(const twx_work *w) { return w->variables + w->defects + w->rows + (size_t)w->ne; }
 
 /* The units of moves, in `best`, and of right sides, in `corrected`, by v | c | h | e. */
-static void units_of_sides(twx_work *w, double *moves, double *sides) {
-  double *const of_c = moves + w->variables, *const c = sides + w->variables;
+static void units_of_sides(twx_work *w, real *moves, real *sides) {
+  real *const of_c = moves + w->variables, *const c = sides + w->variables;
   for (size_t i = 0; i < w->variables; i++)
     moves[i] = w->size[i], sides[i] = w->free[i] != 0 ? w->cost_scale * w->size[i] : 1 / w->size[i];
   for (int32_t k = 0; k < w->N; k++)
     for (int32_t i = 0; i < w->stages[k].next; i++) {
-      const double size = w->size[w->stages[k + 1].v + (size_t)i];
+      const real size = w->size[w->stages[k + 1].v + (size_t)i];
       of_c[w->stages[k].c + (size_t)i] = 1 / (w->cost_scale * size), c[w->stages[k].c + (size_t)i] = 1 / size;
     }
-  double *const of_h = of_c + w->defects, *const h = c + w->defects;
+  real *const of_h = of_c + w->defects, *const h = c + w->defects;
   for (size_t i = 0; i < w->rows; i++) of_h[i] = w->row_scale[i] / w->cost_scale, h[i] = w->row_scale[i];
   for (size_t i = 0; i < (size_t)w->ne; i++)
     of_h[w->rows + i] = w->equality_scale[i] / w->cost_scale, h[w->rows + i] = w->equality_scale[i];
 }
 
 static void clear(twx_work *w, twx_iterate *d) {
-  memset(d->v, 0, sizeof(double) * w->point_size);
+  memset(d->v, 0, sizeof(real) * w->point_size);
 }
 
 /* right = K d, of the iterate `step`, whose multipliers are zero. */
 static void push(twx_work *w) {
   twx_residual *const zero = &w->correction;
-  memset(zero->v, 0, sizeof(double) * w->variables), memset(zero->s, 0, sizeof(double) * w->rows);
-  memset(zero->c, 0, sizeof(double) * w->defects), memset(zero->h, 0, sizeof(double) * w->rows);
-  memset(zero->e, 0, sizeof(double) * (size_t)w->ne);
+  memset(zero->v, 0, sizeof(real) * w->variables), memset(zero->s, 0, sizeof(real) * w->rows);
+  memset(zero->c, 0, sizeof(real) * w->defects), memset(zero->h, 0, sizeof(real) * w->rows);
+  memset(zero->e, 0, sizeof(real) * (size_t)w->ne);
   twx_product(w, zero, &w->step, &w->right, 1);
 }
 
 /* right -= side, of which fixed variables are no part. */
-static void subtract(twx_work *w, const double *side) {
+static void subtract(twx_work *w, const real *side) {
   twx_residual *const r = &w->right;
-  const double *const c = side + w->variables, *const h = c + w->defects, *const e = h + w->rows;
+  const real *const c = side + w->variables, *const h = c + w->defects, *const e = h + w->rows;
   FOR_FREE(w, i) r->v[i] -= side[i];
   for (size_t i = 0; i < w->defects; i++) r->c[i] -= c[i];
   for (size_t i = 0; i < w->rows; i++) r->h[i] -= h[i], r->s[i] = 0;
   for (size_t i = 0; i < (size_t)w->ne; i++) r->e[i] -= e[i];
 }
 
-static void write(const twx_work *w, const twx_iterate *d, double *side) {
-  double *const c = side + w->variables, *const h = c + w->defects, *const e = h + w->rows;
+static void write(const twx_work *w, const twx_iterate *d, real *side) {
+  real *const c = side + w->variables, *const h = c + w->defects, *const e = h + w->rows;
   FOR_FREE(w, i) side[i] = d->v[i];
-  memcpy(c, d->lambda, sizeof(double) * w->defects), memcpy(h, d->y, sizeof(double) * w->rows);
-  memcpy(e, d->ye, sizeof(double) * (size_t)w->ne);
+  memcpy(c, d->lambda, sizeof(real) * w->defects), memcpy(h, d->y, sizeof(real) * w->rows);
+  memcpy(e, d->ye, sizeof(real) * (size_t)w->ne);
 }
 
-static void move_along(twx_work *w, double *side, double *cost) {
+static void move_along(twx_work *w, real *side, real *cost) {
   clear(w, &w->step);
   for (size_t i = 0; i < w->variables; i++) w->step.v[i] = w->free[i] != 0 ? 0 : side[i];
   push(w), subtract(w, side);
@@ -68,7 +68,7 @@ static void move_along(twx_work *w, double *side, double *cost) {
   for (size_t i = 0; i < w->variables; i++) *cost += w->gradient[i] * side[i];
 }
 
-static void pull_back(twx_work *w, double *side, double cost) {
+static void pull_back(twx_work *w, real *side, real cost) {
   for (size_t i = 0; i < w->variables; i++) side[i] += w->gradient[i] * cost;
   clear(w, &w->step), push(w), subtract(w, side);
   twx_solve_system(w, &w->right, &w->step, 1);
@@ -87,8 +87,8 @@ static void take_weights(twx_work *w, const twx_point *at) {
 static twx_status adopt(twx_work *w, const twx_point *at) {
   twx_iterate *q = &w->iterate;
   clear(w, q);
-  memcpy(w->here.z, at->z, sizeof(double) * w->points), memcpy(q->lambda, at->lambda, sizeof(double) * w->defects);
-  memcpy(q->y, at->y, sizeof(double) * w->rows), memcpy(q->ye, at->ye, sizeof(double) * (size_t)w->ne);
+  memcpy(w->here.z, at->z, sizeof(real) * w->points), memcpy(q->lambda, at->lambda, sizeof(real) * w->defects);
+  memcpy(q->y, at->y, sizeof(real) * w->rows), memcpy(q->ye, at->ye, sizeof(real) * (size_t)w->ne);
   if (!twx_read_problem(w)) return TWX_BAD_PROBLEM;
   if (twx_evaluate(w, &w->here) || twx_differentiate(w) || twx_differentiate_twice(w)) return TWX_NON_FINITE;
   take_weights(w, at);
@@ -97,22 +97,22 @@ static twx_status adopt(twx_work *w, const twx_point *at) {
 }
 
 int32_t twx_linearised(const twx_problem *problem, const twx_options *options, const twx_point *at, int32_t transposed,
-                       int32_t count, double *sides, double *workspace) {
+                       int32_t count, real *sides, real *workspace) {
   twx_work work, *const w = &work;
   twx_statistics statistics = {0};
-  if (!twx_workspace_size(problem)) return TWX_BAD_PROBLEM;
+  if (!twx_workspace_size(problem, sizeof(real))) return TWX_BAD_PROBLEM;
   twx_carve(w, problem, workspace);
   w->problem = problem, w->options = options, w->statistics = &statistics;
   const twx_status status = adopt(w, at);
   if (status != TWX_SOLVED) return status;
   /* What is zero may be above it by rounding: a strict minimum is one with a little less on the diagonal, too. */
   if (!twx_factorize_weighted(w, -options->curvature) || !twx_factorize_weighted(w, 0)) return TWX_UNBOUNDED_CURVATURE;
-  double *const moves = w->best.v, *const units = w->corrected.v;
+  real *const moves = w->best.v, *const units = w->corrected.v;
   const size_t n = side_size(w);
   units_of_sides(w, moves, units);
-  const double *const before = transposed ? moves : units, *const after = transposed ? units : moves;
+  const real *const before = transposed ? moves : units, *const after = transposed ? units : moves;
   for (int32_t k = 0; k < count; k++) {
-    double *const side = sides + (size_t)k * (n + 1), *const cost = side + n;
+    real *const side = sides + (size_t)k * (n + 1), *const cost = side + n;
     for (size_t i = 0; i < n; i++) side[i] *= before[i];
     *cost *= transposed ? 1 / w->cost_scale : w->cost_scale;
     if (transposed) pull_back(w, side, *cost);

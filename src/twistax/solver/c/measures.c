@@ -2,8 +2,8 @@
 #include "work.h"
 
 /* Sum of the absolute violations of c, h + s and e, or the largest of them. */
-double twx_violation(const twx_work *w, const twx_values *at, int32_t largest) {
-  double sum = 0, most = 0;
+real twx_violation(const twx_work *w, const twx_values *at, int32_t largest) {
+  real sum = 0, most = 0;
   for (size_t i = 0; i < w->defects; i++) sum += fabs(at->c[i]), most = twx_max(most, fabs(at->c[i]));
   for (size_t i = 0; i < w->rows; i++) sum += fabs(at->h[i] + at->s[i]), most = twx_max(most, fabs(at->h[i] + at->s[i]));
   for (size_t i = 0; i < (size_t)w->ne; i++) sum += fabs(at->e[i]), most = twx_max(most, fabs(at->e[i]));
@@ -11,14 +11,14 @@ double twx_violation(const twx_work *w, const twx_values *at, int32_t largest) {
 }
 
 /* Sum of logarithms: the factors are multiplied, and few logarithms taken. */
-static void add_logarithm(double *sum, double *product, double factor) {
+static void add_logarithm(real *sum, real *product, real factor) {
   *product *= factor;
-  if (*product < 1e-200 || *product > 1e200) *sum += log(*product), *product = 1;
+  if (*product < TWX_LEAST_PRODUCT || *product > 1 / TWX_LEAST_PRODUCT) *sum += log(*product), *product = 1;
 }
 
 /* The barrier function without the cost, with its damping of one-sided bounds. Source: [WB] (3) and 3.7. */
-double twx_barrier_of_bounds(const twx_work *w, const twx_values *at, double barrier) {
-  double logs = 0, damping = 0, product = 1;
+real twx_barrier_of_bounds(const twx_work *w, const twx_values *at, real barrier) {
+  real logs = 0, damping = 0, product = 1;
   FOR_FREE(w, i) {
     const int low = twx_has(w->lower[i]), high = twx_has(w->upper[i]);
     if (low) add_logarithm(&logs, &product, twx_below(w, at->v, i));
@@ -30,15 +30,15 @@ double twx_barrier_of_bounds(const twx_work *w, const twx_values *at, double bar
   return barrier * (w->options->damping * damping - logs - log(product));
 }
 
-double twx_barrier(const twx_work *w, const twx_values *at) {
+real twx_barrier(const twx_work *w, const twx_values *at) {
   return at->cost + twx_barrier_of_bounds(w, at, w->barrier);
 }
 
 /* What the rows of a stage add to the gradient of the Lagrangian. */
-TWX_INLINE void stage_pulls(twx_work *w, int32_t k, const twx_stage *s, double *g) {
+TWX_INLINE void stage_pulls(twx_work *w, int32_t k, const twx_stage *s, real *g) {
   const twx_iterate *q = &w->iterate;
-  double *const of_parameters = g + w->variables - (size_t)NP_OF(w), *const of_next = g + w->stages[k < w->N ? k + 1 : k].v;
-  const struct { int32_t rows; const double *J, *multipliers; } blocks[] = {
+  real *const of_parameters = g + w->variables - (size_t)NP_OF(w), *const of_next = g + w->stages[k < w->N ? k + 1 : k].v;
+  const struct { int32_t rows; const real *J, *multipliers; } blocks[] = {
       {s->next, w->F + s->F, q->lambda + s->c}, {s->nh, w->Jh + s->Jh, q->y + s->h}, {s->ne, w->Je + s->Je, q->ye + s->e}};
   for (size_t b = 0; b < 3; b++) {
     const int32_t rows = blocks[b].rows;
@@ -49,17 +49,17 @@ TWX_INLINE void stage_pulls(twx_work *w, int32_t k, const twx_stage *s, double *
 }
 
 /* The gradient of the Lagrangian by v, in t3. */
-static double *lagrangian_gradient(twx_work *w) {
+static real *lagrangian_gradient(twx_work *w) {
   const twx_iterate *q = &w->iterate;
-  double *const g = w->t3;
+  real *const g = w->t3;
   for (size_t i = 0; i < w->variables; i++) g[i] = w->gradient[i] - q->zl[i] + q->zu[i];
   for (int32_t k = 0; k <= w->N; k++) TWX_AT(w, k, stage_pulls, g);
   return g;
 }
 
-static double complementarity(const twx_work *w, double barrier) {
+static real complementarity(const twx_work *w, real barrier) {
   const twx_iterate *q = &w->iterate;
-  double most = 0;
+  real most = 0;
   FOR_FREE(w, i) {
     if (twx_has(w->lower[i])) most = twx_max(most, fabs(twx_below(w, q->v, i) * q->zl[i] - barrier));
     if (twx_has(w->upper[i])) most = twx_max(most, fabs(twx_above(w, q->v, i) * q->zu[i] - barrier));
@@ -69,7 +69,7 @@ static double complementarity(const twx_work *w, double barrier) {
 }
 
 /* The measures of the same iterate for another barrier parameter. */
-twx_measures twx_measure_again(const twx_work *w, const twx_measures *of_iterate, double barrier) {
+twx_measures twx_measure_again(const twx_work *w, const twx_measures *of_iterate, real barrier) {
   twx_measures m = *of_iterate;
   m.complementarity = complementarity(w, barrier);
   m.error = twx_max(twx_max(m.violation, m.complementarity / m.bound_scale), m.stationarity / m.dual_scale); /* last: infinite beside NaN */
@@ -79,10 +79,10 @@ twx_measures twx_measure_again(const twx_work *w, const twx_measures *of_iterate
 /* The scaled error for a barrier parameter of zero, and its parts. Source: [WB] (5), (6). */
 twx_measures twx_measure(twx_work *w) {
   const twx_iterate *q = &w->iterate;
-  const double *const g = lagrangian_gradient(w), least = w->options->multiplier_scale;
+  const real *const g = lagrangian_gradient(w), least = w->options->multiplier_scale;
   twx_measures m = {0};
-  double sum = 0; /* the largest of numbers forgets those that are NaN */
-  double multipliers = 0, of_bounds = 0, bounds = 0, count = (double)(w->defects + w->rows) + w->ne;
+  real sum = 0; /* the largest of numbers forgets those that are NaN */
+  real multipliers = 0, of_bounds = 0, bounds = 0, count = (real)(w->defects + w->rows) + w->ne;
   FOR_FREE(w, i) {
     m.stationarity = twx_max(m.stationarity, fabs(g[i])), sum += g[i];
     if (twx_has(w->lower[i])) of_bounds += q->zl[i], bounds++;

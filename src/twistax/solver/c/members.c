@@ -30,7 +30,7 @@ static size_t copy_phases(const twx_form *form, const double *data, double *memo
   return used;
 }
 
-size_t twx_form_memory(const twx_form *form) { return copy_phases(form, NULL, NULL) + twx_workspace_size(&form->problem); }
+size_t twx_form_memory(const twx_form *form) { return copy_phases(form, NULL, NULL) + twx_workspace_size(&form->problem, sizeof(real)); }
 
 static int32_t is_ended(const twx_form *form) { return __atomic_load_n(&form->stop, __ATOMIC_RELAXED) != 0; }
 

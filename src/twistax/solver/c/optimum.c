@@ -2,9 +2,9 @@
 #include "work.h"
 
 /* The worth of violations at the present multipliers. */
-static double worth_of_violations(const twx_work *w) {
+static real worth_of_violations(const twx_work *w) {
   const twx_iterate *q = &w->iterate;
-  double sum = 0;
+  real sum = 0;
   for (size_t i = 0; i < w->defects; i++) sum += fabs(q->lambda[i] * w->here.c[i]);
   for (size_t i = 0; i < w->rows; i++) sum += fabs(q->y[i] * (w->here.h[i] + q->s[i]));
   for (size_t i = 0; i < (size_t)w->ne; i++) sum += fabs(q->ye[i] * w->here.e[i]);
@@ -12,8 +12,8 @@ static double worth_of_violations(const twx_work *w) {
 }
 
 /* The largest change of the cost, to first order, where a state moves by as much as it reaches, but at most by its unit. */
-static double worth_of_states(const twx_work *w) {
-  double *const reach = w->t3, most = 0;
+static real worth_of_states(const twx_work *w) {
+  real *const reach = w->t3, most = 0;
   FOR_STAGES(w, k, s)
     for (int32_t i = 0; i < s->nx; i++) reach[i] = 0;
   FOR_STAGES(w, k, s)
@@ -25,8 +25,8 @@ static double worth_of_states(const twx_work *w) {
 }
 
 /* What moves of all variables by their units change of the cost at most, to first order. */
-static double worth_of_moves(const twx_work *w) {
-  double sum = 0;
+static real worth_of_moves(const twx_work *w) {
+  real sum = 0;
   FOR_FREE(w, i) sum += fabs(w->gradient[i]);
   return sum;
 }
@@ -45,7 +45,7 @@ int32_t twx_measure_optimum(twx_work *w) {
   if (twx_differentiate_twice(w)) return 0;
   twx_right_side(w, 0);
   t->minimum = twx_factorize_weighted(w, 0);
-  for (double identity = 1e-12; !(t->minimum > 0) && identity <= o->curvature; identity *= 100) t->minimum = twx_factorize_weighted(w, identity);
+  for (real identity = twx_max((real)1e-12, 8 * TWX_EPSILON); !(t->minimum > 0) && identity <= o->curvature; identity *= 100) t->minimum = twx_factorize_weighted(w, identity);
   if (t->minimum > 0 || twx_correct_inertia(w)) {
     twx_solve_system(w, &w->right, &w->step, 1);
     t->excess = fabs(twx_slope(w, &w->step)) + worth_of_violations(w);

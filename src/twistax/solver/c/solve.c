@@ -3,7 +3,7 @@
 
 static void record(twx_work *w, const twx_search *search, const twx_measures *m) {
   twx_statistics *t = w->statistics;
-  double length = 0;
+  real length = 0;
   if (!t->log || t->iterations >= t->log_rows) return;
   for (size_t i = 0; i < w->variables; i++) length = twx_max(length, fabs(w->step.v[i]));
   t->log[t->iterations] = (twx_record){w->here.cost / w->cost_scale, m->violation, m->stationarity, w->barrier, w->identity,
@@ -16,7 +16,7 @@ static twx_status update_barrier(twx_work *w, twx_search *search, const twx_meas
   for (int32_t first = 1; !search->watching; first = 0) {
     const int32_t tiny = first && search->tiny > 1;
     if (!tiny && twx_measure_again(w, m, w->barrier).error > o->barrier_error * w->barrier) break;
-    const double before = w->barrier, least = w->exactness * o->barrier_least;
+    const real before = w->barrier, least = w->exactness * o->barrier_least;
     w->barrier = twx_max(least, twx_min(o->barrier_factor * before, pow(before, o->barrier_power)));
     w->fraction = twx_max(o->boundary_fraction, 1 - w->barrier);
     w->filter_rows = search->by_filter = search->shortened = 0;
@@ -41,9 +41,9 @@ static void reset_filter(twx_work *w, twx_search *search) {
 }
 
 /* Back to an iterate that was kept. */
-static twx_status return_to(twx_work *w, const twx_iterate *kept, const double *z) {
+static twx_status return_to(twx_work *w, const twx_iterate *kept, const real *z) {
   twx_copy_iterate(w, &w->iterate, kept);
-  memcpy(w->here.z, z, sizeof(double) * w->points);
+  memcpy(w->here.z, z, sizeof(real) * w->points);
   return twx_evaluate(w, &w->here) || twx_differentiate(w) ? TWX_NON_FINITE : TWX_SOLVED;
 }
 
@@ -52,7 +52,7 @@ static twx_status go_back(twx_work *w) { return return_to(w, &w->watchdog, w->wa
 
 /* No step length is acceptable. */
 static twx_status restore(twx_work *w) {
-  const double violation = twx_violation(w, &w->here, 0);
+  const real violation = twx_violation(w, &w->here, 0);
   twx_filter_add(w, violation, twx_barrier(w, &w->here));
   return twx_violation(w, &w->here, 1) < w->options->tolerance ? TWX_STALLED : twx_restore(w);
 }
@@ -72,15 +72,15 @@ static void report(twx_work *w, const twx_measures *m) {
   t->violation = m->violation, t->complementarity = m->complementarity, t->barrier = w->barrier;
 }
 
-static double largest_variable(const twx_work *w) {
-  double most = 1;
+static real largest_variable(const twx_work *w) {
+  real most = 1;
   for (size_t i = 0; i < w->variables; i++) most = twx_max(most, fabs(w->iterate.v[i]));
   return most;
 }
 
 static void keep(twx_work *w) {
   twx_copy_iterate(w, &w->best, &w->iterate);
-  memcpy(w->best_z, w->here.z, sizeof(double) * w->points);
+  memcpy(w->best_z, w->here.z, sizeof(real) * w->points);
 }
 
 /* Keep the iterate with the smallest error, unless one was acceptable. */
@@ -143,7 +143,7 @@ static twx_status iterate(twx_work *w) {
     acceptable = m.error <= o->acceptable && m.complementarity <= 10 * w->barrier ? acceptable + 1 : 0;
     if (acceptable > (int32_t)o->acceptable_iterations) return TWX_ACCEPTABLE;
     if (w->acceptable_age > 0 && w->acceptable_age++ > (int32_t)o->acceptable_iterations) return TWX_ACCEPTABLE;
-    if (w->here.cost < -o->cost_largest && m.violation <= twx_max(o->tolerance, 1e4 * TWX_EPSILON * largest_variable(w))) return TWX_UNBOUNDED;
+    if (w->here.cost < -o->cost_largest && m.violation <= twx_max(o->tolerance, 10000 * TWX_EPSILON * largest_variable(w))) return TWX_UNBOUNDED;
     if (w->statistics->iterations >= (int32_t)o->iterations) return TWX_MAX_ITERATIONS;
     if (p->stop && p->stop(p->user, w->statistics->iterations, w->here.z)) return TWX_STOPPED;
     status = update_barrier(w, &search, &m);
@@ -160,7 +160,7 @@ static twx_status iterate(twx_work *w) {
 }
 
 /* The result in the problem's units. */
-static void unscale(twx_work *w, double *z, twx_solution *solution) {
+static void unscale(twx_work *w, real *z, twx_solution *solution) {
   const twx_iterate *q = &w->iterate;
   for (size_t i = 0; i < w->variables; i++) {
     solution->v[i] = q->v[i] * w->size[i];
@@ -174,32 +174,32 @@ static void unscale(twx_work *w, double *z, twx_solution *solution) {
   for (size_t i = 0; i < w->rows; i++)
     solution->s[i] = q->s[i] / w->row_scale[i], solution->y[i] = q->y[i] * w->row_scale[i] / w->cost_scale;
   for (size_t i = 0; i < (size_t)w->ne; i++) solution->ye[i] = q->ye[i] * w->equality_scale[i] / w->cost_scale;
-  memcpy(z, w->here.z, sizeof(double) * w->points);
+  memcpy(z, w->here.z, sizeof(real) * w->points);
 }
 
-static void load(twx_work *w, const double *z, const twx_solution *solution) {
+static void load(twx_work *w, const real *z, const twx_solution *solution) {
   twx_iterate *q = &w->iterate;
-  memcpy(w->here.z, z, sizeof(double) * w->points);
-  memset(q->v, 0, sizeof(double) * w->point_size);
-  memcpy(q->v, solution->v, sizeof(double) * w->variables);
+  memcpy(w->here.z, z, sizeof(real) * w->points);
+  memset(q->v, 0, sizeof(real) * w->point_size);
+  memcpy(q->v, solution->v, sizeof(real) * w->variables);
   if (!(w->options->warm_start > 0)) return;
-  memcpy(q->s, solution->s, sizeof(double) * w->rows), memcpy(q->y, solution->y, sizeof(double) * w->rows);
-  memcpy(q->lambda, solution->lambda, sizeof(double) * w->defects), memcpy(q->ye, solution->ye, sizeof(double) * (size_t)w->ne);
-  memcpy(q->zl, solution->zl, sizeof(double) * w->variables), memcpy(q->zu, solution->zu, sizeof(double) * w->variables);
+  memcpy(q->s, solution->s, sizeof(real) * w->rows), memcpy(q->y, solution->y, sizeof(real) * w->rows);
+  memcpy(q->lambda, solution->lambda, sizeof(real) * w->defects), memcpy(q->ye, solution->ye, sizeof(real) * (size_t)w->ne);
+  memcpy(q->zl, solution->zl, sizeof(real) * w->variables), memcpy(q->zu, solution->zu, sizeof(real) * w->variables);
 }
 
 static int32_t is_lost(twx_status status) {
   return status == TWX_NON_FINITE || status == TWX_UNBOUNDED_CURVATURE || status == TWX_UNBOUNDED;
 }
 
-int32_t twx_solve(const twx_problem *problem, const twx_options *options, double *z, twx_solution *solution,
-                  double *workspace, twx_statistics *statistics) {
+int32_t twx_solve(const twx_problem *problem, const twx_options *options, real *z, twx_solution *solution,
+                  real *workspace, twx_statistics *statistics) {
   twx_work work, *const w = &work;
   twx_statistics fresh = {0};
   fresh.log = statistics->log, fresh.log_rows = statistics->log_rows;
   fresh.cost = fresh.error = fresh.stationarity = fresh.violation = fresh.complementarity = fresh.excess = NAN;
   *statistics = fresh;
-  if (!twx_workspace_size(problem)) return statistics->status = TWX_BAD_PROBLEM;
+  if (!twx_workspace_size(problem, sizeof(real))) return statistics->status = TWX_BAD_PROBLEM;
   twx_carve(w, problem, workspace);
   w->problem = problem, w->options = options, w->statistics = statistics;
   load(w, z, solution);

@@ -17,16 +17,16 @@ static int32_t read_bounds(twx_work *w) {
 }
 
 /* The least slack of a start: at most that which the multiplier of a warm start has on the central path. */
-static double least_slack(const twx_work *w, double push, double multiplier) {
+static real least_slack(const twx_work *w, real push, real multiplier) {
   return w->options->warm_start > 0 && multiplier > 0 ? twx_min(push, w->barrier / multiplier) : push;
 }
 
 /* A value at a distance from its bounds. Source: [WB] 3.6. */
-static double pushed(const twx_work *w, size_t i) {
+static real pushed(const twx_work *w, size_t i) {
   const twx_options *o = w->options;
-  const double lower = w->lower[i], upper = w->upper[i], share = o->bound_share * (upper - lower);
-  const double scale = w->cost_scale * w->size[i]; /* of multipliers, which are in the problem's units still */
-  double v = w->iterate.v[i];
+  const real lower = w->lower[i], upper = w->upper[i], share = o->bound_share * (upper - lower);
+  const real scale = w->cost_scale * w->size[i]; /* of multipliers, which are in the problem's units still */
+  real v = w->iterate.v[i];
   if (twx_has(lower))
     v = twx_max(v, lower + least_slack(w, twx_min(o->bound_push * twx_max(1, fabs(lower)), share), scale * w->iterate.zl[i]));
   if (twx_has(upper))
@@ -38,8 +38,8 @@ static double pushed(const twx_work *w, size_t i) {
  * inside of them. */
 static int32_t push_inside(twx_work *w) {
   const twx_options *o = w->options;
-  double *const d = w->step.v, *const v = w->iterate.v;
-  memset(d, 0, sizeof(double) * w->variables);
+  real *const d = w->step.v, *const v = w->iterate.v;
+  memset(d, 0, sizeof(real) * w->variables);
   for (size_t i = 0; i < w->variables; i++) {
     if (w->free[i] == 0) {
       d[i] = w->lower[i] - v[i];
@@ -49,10 +49,10 @@ static int32_t push_inside(twx_work *w) {
     if (twx_has(w->upper[i])) w->upper[i] += o->bound_relaxation * fabs(w->upper[i]);
     d[i] = pushed(w, i) - v[i];
   }
-  memset(w->step.s, 0, sizeof(double) * w->rows);
-  memcpy(w->trial.z, w->here.z, sizeof(double) * w->points); /* what is reported where the move fails */
+  memset(w->step.s, 0, sizeof(real) * w->rows);
+  memcpy(w->trial.z, w->here.z, sizeof(real) * w->points); /* what is reported where the move fails */
   const int32_t bad = twx_move(w, &w->step, 1);
-  memcpy(v, w->trial.v, sizeof(double) * w->variables);
+  memcpy(v, w->trial.v, sizeof(real) * w->variables);
   if (!bad) twx_take_values(w);
   return bad;
 }
@@ -74,16 +74,16 @@ static int32_t read_units(twx_work *w) {
 }
 
 /* Rows with large derivatives are divided further, as in [WB] 3.8, with their slacks and multipliers unless these are NULL. */
-static int32_t scale_rows(const twx_work *w, const twx_stage *s, int32_t rows, const double *J, double *scale, double *y, double *slack) {
+static int32_t scale_rows(const twx_work *w, const twx_stage *s, int32_t rows, const real *J, real *scale, real *y, real *slack) {
   int32_t scaled = 0;
   for (int32_t i = 0; i < rows; i++) {
-    double most = 0;
+    real most = 0;
     for (int32_t j = 0; j < s->n; j++) {
       const size_t variable = j < s->nv ? s->v + (size_t)j : w->variables - (size_t)(s->n - j);
       if (w->free[variable] != 0) most = twx_max(most, fabs(J[i + (size_t)j * (size_t)rows]));
     }
     if (!(most > w->options->row_gradient)) continue;
-    const double factor = twx_max(w->options->row_gradient / most, 1e-8);
+    const real factor = twx_max(w->options->row_gradient / most, (real)1e-8);
     scale[i] *= factor, scaled = 1;
     if (y) y[i] /= factor;
     if (y && slack) slack[i] *= factor;
@@ -94,12 +94,12 @@ static int32_t scale_rows(const twx_work *w, const twx_stage *s, int32_t rows, c
 /* The functions and their derivatives at the start, scaled; `early`: with multipliers, which are in the core's units. */
 static int32_t scale_functions(twx_work *w, int32_t early) {
   twx_iterate *q = &w->iterate;
-  const double limit = w->options->objective_gradient;
-  double most = 0;
+  const real limit = w->options->objective_gradient;
+  real most = 0;
   if (early ? twx_differentiate_both(w) : twx_differentiate(w)) return 1;
   FOR_FREE(w, i) most = twx_max(most, fabs(w->gradient[i]));
   int32_t scaled = limit > 0 && most > limit;
-  if (scaled) w->cost_scale *= twx_max(limit / most, 1e-8);
+  if (scaled) w->cost_scale *= twx_max(limit / most, (real)1e-8);
   FOR_STAGES(w, k, s) {
     scaled |= scale_rows(w, s, s->nh, w->Jh + s->Jh, w->row_scale + s->h, early ? q->y + s->h : NULL, q->s + s->h);
     scaled |= scale_rows(w, s, s->ne, w->Je + s->Je, w->equality_scale + s->e, early ? q->ye + s->e : NULL, NULL);
@@ -107,21 +107,21 @@ static int32_t scale_functions(twx_work *w, int32_t early) {
   return scaled && (twx_evaluate(w, &w->here) || twx_differentiate(w));
 }
 
-static double within(double a, double low, double high) { return twx_max(twx_min(a, high), low); }
+static real within(real a, real low, real high) { return twx_max(twx_min(a, high), low); }
 
 /* First slacks, and multipliers of bounds: barrier over slack or a constant; of a warm start those that it has. */
 static void start_bounds(twx_work *w) {
   const twx_options *o = w->options;
   twx_iterate *q = &w->iterate;
-  const double constant = o->multiplier_start, range = o->warm_range;
+  const real constant = o->multiplier_start, range = o->warm_range;
   const int warm = o->warm_start > 0;
   for (size_t i = 0; i < w->rows; i++) {
     q->s[i] = twx_max(twx_max(warm ? q->s[i] : 0, -w->here.h[i]), least_slack(w, o->slack_push, q->y[i]));
-    const double central = w->barrier / q->s[i];
+    const real central = w->barrier / q->s[i];
     q->zs[i] = warm ? within(q->y[i], central / range, central * range) : constant > 0 ? constant : central;
   }
   for (size_t i = 0; i < w->variables; i++) {
-    const double low = w->barrier / twx_below(w, q->v, i), high = w->barrier / twx_above(w, q->v, i);
+    const real low = w->barrier / twx_below(w, q->v, i), high = w->barrier / twx_above(w, q->v, i);
     const int has_low = w->free[i] != 0 && twx_has(w->lower[i]), has_high = w->free[i] != 0 && twx_has(w->upper[i]);
     q->zl[i] = !has_low ? 0 : warm ? within(q->zl[i], low / range, low * range) : constant > 0 ? constant : low;
     q->zu[i] = !has_high ? 0 : warm ? within(q->zu[i], high / range, high * range) : constant > 0 ? constant : high;
@@ -132,10 +132,10 @@ static void start_bounds(twx_work *w) {
 void twx_least_squares_multipliers(twx_work *w) {
   twx_iterate *q = &w->iterate, *d = &w->step;
   twx_residual *r = &w->right;
-  double most = 0;
+  real most = 0;
   for (size_t i = 0; i < w->variables; i++) w->Sv[i] = 1, r->v[i] = w->gradient[i] - q->zl[i] + q->zu[i];
   for (size_t i = 0; i < w->rows; i++) w->Ss[i] = 1, r->s[i] = -q->zs[i], r->h[i] = 0;
-  memset(r->c, 0, sizeof(double) * w->defects), memset(r->e, 0, sizeof(double) * (size_t)w->ne);
+  memset(r->c, 0, sizeof(real) * w->defects), memset(r->e, 0, sizeof(real) * (size_t)w->ne);
   int32_t good = twx_factorize(w, 0, 0);
   if (good) {
     twx_solve_system(w, r, d, 0);
@@ -190,11 +190,11 @@ twx_status twx_start(twx_work *w) {
   if (warm && !early) scale_multipliers(w);
   start_bounds(w);
   if (!warm) {
-    memset(q->lambda, 0, sizeof(double) * w->defects), memset(q->y, 0, sizeof(double) * w->rows);
-    memset(q->ye, 0, sizeof(double) * (size_t)w->ne);
+    memset(q->lambda, 0, sizeof(real) * w->defects), memset(q->y, 0, sizeof(real) * w->rows);
+    memset(q->ye, 0, sizeof(real) * (size_t)w->ne);
     if (o->least_squares_limit > 0) twx_least_squares_multipliers(w);
   }
-  const double violation = twx_max(1, twx_violation(w, &w->here, 0));
+  const real violation = twx_max(1, twx_violation(w, &w->here, 0));
   w->violation_small = o->violation_small * violation, w->violation_large = o->violation_large * violation;
   return TWX_SOLVED;
 }

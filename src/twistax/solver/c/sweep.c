@@ -7,19 +7,19 @@
 #include "work.h"
 
 /* y of the rows of a stage where v = 0: (sigma r.h - r.s) / (1 + softness sigma). */
-TWX_INLINE void rows_at_rest(const twx_work *w, const twx_stage *s, const twx_residual *r, double *y) {
+TWX_INLINE void rows_at_rest(const twx_work *w, const twx_stage *s, const twx_residual *r, real *y) {
   for (int32_t i = 0; i < s->nh; i++) {
     const size_t row = s->h + (size_t)i;
-    const double sigma = w->Ss[row] + w->identity;
+    const real sigma = w->Ss[row] + w->identity;
     y[i] = (sigma * r->h[row] - r->s[row]) / (1 + w->softness * sigma);
   }
 }
 
 /* The gradient of a stage in (x, u, p) without what follows; p's part of the cost itself is added once, at the end. */
-TWX_INLINE void stage_gradient(twx_work *w, const twx_stage *s, const twx_residual *r, double *q) {
-  double *const y = w->t3;
-  memset(q, 0, sizeof(double) * (size_t)s->n);
-  memcpy(q, r->v + s->v, sizeof(double) * (size_t)s->nv);
+TWX_INLINE void stage_gradient(twx_work *w, const twx_stage *s, const twx_residual *r, real *q) {
+  real *const y = w->t3;
+  memset(q, 0, sizeof(real) * (size_t)s->n);
+  memcpy(q, r->v + s->v, sizeof(real) * (size_t)s->nv);
   rows_at_rest(w, s, r, y);
   twx_add_apply_transposed(s->nh, s->n, w->Jh + s->Jh, s->nh, y, q);
   for (int32_t i = 0; i < s->ne; i++) y[i] = w->place[s->e + (size_t)i] < 0 ? 0 : w->weight * r->e[s->e + (size_t)i];
@@ -29,16 +29,16 @@ TWX_INLINE void stage_gradient(twx_work *w, const twx_stage *s, const twx_residu
 TWX_INLINE void stage_back(twx_work *w, int32_t k, const twx_stage *s, const twx_residual *r) {
   const twx_stage *const next = w->stages + k + 1;
   const int32_t nx = s->nx, nu = s->nu, np = NP_OF(w), nb = NB_OF(w);
-  double *const slope = w->t1, *const q = w->t2;
+  real *const slope = w->t1, *const q = w->t2;
   stage_gradient(w, s, r, q);
   if (k < w->N) {
-    memcpy(slope, w->p + next->v, sizeof(double) * (size_t)s->next);
+    memcpy(slope, w->p + next->v, sizeof(real) * (size_t)s->next);
     twx_add_apply(s->next, s->next, w->P + next->P, s->next, r->c + s->c, slope);
     twx_add_apply_transposed(s->next, s->n, w->F + s->F, s->next, slope, q);
     twx_add_apply_transposed(s->next, nb, w->W + next->W, s->next, r->c + s->c, w->border);
   }
   for (int32_t i = 0; i < np; i++) w->border[i] += q[s->nv + i];
-  double *const p = w->p + s->v, *const step = w->k + s->k;
+  real *const p = w->p + s->v, *const step = w->k + s->k;
   for (int32_t i = 0; i < nu; i++) step[i] = w->free[s->v + (size_t)(nx + i)] == 0 ? 0 : q[nx + i];
   for (int32_t i = 0; i < s->ne; i++) {
     const int32_t place = w->place[s->e + (size_t)i];
@@ -46,7 +46,7 @@ TWX_INLINE void stage_back(twx_work *w, int32_t k, const twx_stage *s, const twx
   }
   const int32_t m = nu + s->nl;
   const twx_factor B = twx_factor_in(m, w->L + s->L);
-  memcpy(p, q, sizeof(double) * (size_t)nx);
+  memcpy(p, q, sizeof(real) * (size_t)nx);
   twx_add_apply_transposed(m, nx, w->K + s->K, m, step, p);
   twx_add_apply_transposed(m, nb, w->K + s->K + (size_t)nx * (size_t)m, m, step, w->border);
   for (int32_t i = 0; i < m; i++) step[i] = -step[i];
@@ -61,7 +61,7 @@ static void sweep_back(twx_work *w, const twx_residual *r) {
 }
 
 /* The free entries of x_0 at rest, in `start`, and what they add to the border. */
-static void solve_start(twx_work *w, double *start) {
+static void solve_start(twx_work *w, real *start) {
   const int32_t nx = w->stages[0].nx;
   for (int32_t i = 0; i < nx; i++) start[i] = w->free[i] != 0 ? w->p[i] : 0;
   twx_add_apply_transposed(nx, NB_OF(w), w->K0, nx, start, w->border);
@@ -75,10 +75,10 @@ static void solve_start(twx_work *w, double *start) {
 static void solve_border(twx_work *w) {
   const int32_t np = NP_OF(w), ne = w->nbe;
   const twx_factor parameters = twx_factor_in(np, w->Lp), equalities = twx_factor_in(ne, w->C);
-  double *const r = w->border, *const ye = r + np, *const t = w->t2;
+  real *const r = w->border, *const ye = r + np, *const t = w->t2;
   for (int32_t i = 0; i < np; i++) if (w->free[w->variables - (size_t)(np - i)] == 0) r[i] = 0;
   twx_solve_lower_part(&parameters, 1, r, w->t3);
-  memcpy(t, r, sizeof(double) * (size_t)np);
+  memcpy(t, r, sizeof(real) * (size_t)np);
   twx_solve_diagonal_part(&parameters, 1, t);
   for (int32_t j = 0; j < ne; j++)
     for (int32_t i = 0; i < np; i++) ye[j] -= w->Z[i + (size_t)j * (size_t)np] * t[i];
@@ -91,54 +91,54 @@ static void solve_border(twx_work *w) {
 
 TWX_INLINE void stage_ahead(twx_work *w, int32_t k, const twx_stage *s, const twx_residual *r, twx_iterate *d) {
   const twx_stage *const next = w->stages + k + 1;
-  double *const x = d->v + s->v, *const after = d->v + next->v, *const lambda = d->lambda + s->c, *const u = w->t2;
+  real *const x = d->v + s->v, *const after = d->v + next->v, *const lambda = d->lambda + s->c, *const u = w->t2;
   const int32_t m = s->nu + s->nl, nb = NB_OF(w), np = NP_OF(w);
-  memcpy(u, w->k + s->k, sizeof(double) * (size_t)m);
+  memcpy(u, w->k + s->k, sizeof(real) * (size_t)m);
   twx_add_apply(m, s->nx, w->K + s->K, m, x, u);
   twx_add_apply(m, nb, w->K + s->K + (size_t)s->nx * (size_t)m, m, w->border, u);
-  memcpy(x + s->nx, u, sizeof(double) * (size_t)s->nu);
+  memcpy(x + s->nx, u, sizeof(real) * (size_t)s->nu);
   for (int32_t i = 0; i < s->ne; i++) {
     const int32_t place = w->place[s->e + (size_t)i];
     if (place < 0) d->ye[s->e + (size_t)i] = u[s->nu - place - 1];
   }
-  memcpy(after, r->c + s->c, sizeof(double) * (size_t)s->next);
+  memcpy(after, r->c + s->c, sizeof(real) * (size_t)s->next);
   twx_add_apply(s->next, s->nv, w->F + s->F, s->next, x, after);
   twx_add_apply(s->next, np, w->F + s->F + (size_t)s->nv * (size_t)s->next, s->next, w->border, after);
-  memcpy(lambda, w->p + next->v, sizeof(double) * (size_t)s->next);
+  memcpy(lambda, w->p + next->v, sizeof(real) * (size_t)s->next);
   twx_add_apply(s->next, s->next, w->P + next->P, s->next, after, lambda);
   twx_add_apply(s->next, nb, w->W + next->W, s->next, w->border, lambda);
 }
 
 /* Ahead: the step of v, and lambda. `start` is x_0 at rest. */
-static void sweep_ahead(twx_work *w, const twx_residual *r, const double *start, twx_iterate *d) {
+static void sweep_ahead(twx_work *w, const twx_residual *r, const real *start, twx_iterate *d) {
   const int32_t np = NP_OF(w);
-  memcpy(d->v, start, sizeof(double) * (size_t)w->stages[0].nx);
+  memcpy(d->v, start, sizeof(real) * (size_t)w->stages[0].nx);
   twx_add_apply(w->stages[0].nx, NB_OF(w), w->K0, w->stages[0].nx, w->border, d->v);
   for (int32_t k = 0; k < w->N; k++) TWX_AT(w, k, stage_ahead, r, d);
-  memcpy(d->v + w->variables - (size_t)np, w->border, sizeof(double) * (size_t)np);
+  memcpy(d->v + w->variables - (size_t)np, w->border, sizeof(real) * (size_t)np);
   /* The squares of equalities, weight |Je v + e|^2 / 2, are a part of the multipliers where a row is left soft. */
   for (int32_t i = 0; i < w->ne; i++)
     if (w->place[i] >= 0) d->ye[i] = w->border[np + w->place[i]] * (1 + w->weight * w->border_softness);
 }
 
 /* product (rows,) += J (x, u, p) of a block of rows of a stage. */
-TWX_INLINE void along(const twx_work *w, const twx_stage *s, int32_t rows, const double *J, const double *v, double *product) {
+TWX_INLINE void along(const twx_work *w, const twx_stage *s, int32_t rows, const real *J, const real *v, real *product) {
   twx_add_apply(rows, s->nv, J, rows, v + s->v, product);
   twx_add_apply(rows, NP_OF(w), J + (size_t)s->nv * (size_t)rows, rows, v + w->variables - (size_t)NP_OF(w), product);
 }
 
 static void slacks(twx_work *w, const twx_residual *r, twx_iterate *d) {
-  memset(d->s, 0, sizeof(double) * w->rows);
+  memset(d->s, 0, sizeof(real) * w->rows);
   FOR_STAGES(w, k, s) along(w, s, s->nh, w->Jh + s->Jh, d->v, d->s + s->h);
   for (size_t i = 0; i < w->rows; i++) {
-    const double sigma = w->Ss[i] + w->identity, rest = -r->h[i] - d->s[i];
+    const real sigma = w->Ss[i] + w->identity, rest = -r->h[i] - d->s[i];
     d->y[i] = (-r->s[i] - sigma * rest) / (1 + w->softness * sigma);
     d->s[i] = rest + w->softness * d->y[i];
   }
 }
 
 static void solve_once(twx_work *w, const twx_residual *r, twx_iterate *d) {
-  double *const start = w->t0;
+  real *const start = w->t0;
   sweep_back(w, r);
   solve_start(w, start);
   solve_border(w);
@@ -147,7 +147,7 @@ static void solve_once(twx_work *w, const twx_residual *r, twx_iterate *d) {
 }
 
 /* left += block' multipliers, for (x, u) of the stage and for p. */
-TWX_INLINE void add_pull(const twx_work *w, const twx_stage *s, int32_t rows, const double *J, const double *multipliers, double *left) {
+TWX_INLINE void add_pull(const twx_work *w, const twx_stage *s, int32_t rows, const real *J, const real *multipliers, real *left) {
   twx_add_apply_transposed(rows, s->nv, J, rows, multipliers, left + s->v);
   twx_add_apply_transposed(rows, NP_OF(w), J + (size_t)s->nv * (size_t)rows, rows, multipliers, left + w->variables - (size_t)NP_OF(w));
 }
@@ -156,9 +156,9 @@ TWX_INLINE void add_pull(const twx_work *w, const twx_stage *s, int32_t rows, co
 TWX_INLINE void stage_product(twx_work *w, int32_t k, const twx_stage *s, const twx_iterate *d, twx_residual *left, int32_t with_hessian) {
   const size_t p = w->variables - (size_t)NP_OF(w), next = w->stages[k < w->N ? k + 1 : k].v;
   if (with_hessian) {
-    double *const z = w->t2, *const product = w->t3;
-    memcpy(z, d->v + s->v, sizeof(double) * (size_t)s->nv), memcpy(z + s->nv, d->v + p, sizeof(double) * (size_t)NP_OF(w));
-    memset(product, 0, sizeof(double) * (size_t)s->n);
+    real *const z = w->t2, *const product = w->t3;
+    memcpy(z, d->v + s->v, sizeof(real) * (size_t)s->nv), memcpy(z + s->nv, d->v + p, sizeof(real) * (size_t)NP_OF(w));
+    memset(product, 0, sizeof(real) * (size_t)s->n);
     twx_add_apply(s->n, s->n, w->H + s->H, s->n, z, product);
     for (int32_t i = 0; i < s->nv; i++) left->v[s->v + (size_t)i] += product[i];
     for (int32_t i = 0; i < NP_OF(w); i++) left->v[p + (size_t)i] += product[s->nv + i];
@@ -174,10 +174,10 @@ TWX_INLINE void stage_product(twx_work *w, int32_t k, const twx_stage *s, const 
 
 /* left = r + K d: what a step leaves of the equations. */
 void twx_product(twx_work *w, const twx_residual *r, const twx_iterate *d, twx_residual *left, int32_t with_hessian) {
-  const double of_border = w->softness + w->border_softness / (1 + w->weight * w->border_softness);
+  const real of_border = w->softness + w->border_softness / (1 + w->weight * w->border_softness);
   for (size_t i = 0; i < w->variables; i++) left->v[i] = r->v[i] + (w->Sv[i] + w->identity) * d->v[i];
-  memcpy(left->h, r->h, sizeof(double) * w->rows), memcpy(left->e, r->e, sizeof(double) * (size_t)w->ne);
-  memcpy(left->c, r->c, sizeof(double) * w->defects);
+  memcpy(left->h, r->h, sizeof(real) * w->rows), memcpy(left->e, r->e, sizeof(real) * (size_t)w->ne);
+  memcpy(left->c, r->c, sizeof(real) * w->defects);
   for (int32_t k = 0; k <= w->N; k++) TWX_AT(w, k, stage_product, d, left, with_hessian);
   for (size_t i = 0; i < w->rows; i++) {
     left->h[i] += d->s[i] - w->softness * d->y[i];
@@ -187,29 +187,29 @@ void twx_product(twx_work *w, const twx_residual *r, const twx_iterate *d, twx_r
     left->e[i] -= (w->place[i] < 0 ? w->softness + w->local_softness : of_border) * d->ye[i];
 }
 
-static double size_of_entries(size_t count, const double *a) {
-  double most = 0;
+static real size_of_entries(size_t count, const real *a) {
+  real most = 0;
   for (size_t i = 0; i < count; i++) most = twx_max(most, fabs(a[i]));
   return most;
 }
 
 /* What a step leaves of the equations of free variables: its size, over what may be left of this right side. */
-static double remainder_of(twx_work *w, const twx_residual *r, const twx_iterate *d, twx_residual *left, int32_t with_hessian) {
+static real remainder_of(twx_work *w, const twx_residual *r, const twx_iterate *d, twx_residual *left, int32_t with_hessian) {
   const size_t ne = (size_t)w->ne;
   twx_product(w, r, d, left, with_hessian);
   for (size_t i = 0; i < w->variables; i++) if (w->free[i] == 0) left->v[i] = 0;
-  const double size = twx_max(twx_max(size_of_entries(w->variables, left->v), size_of_entries(w->rows, left->h)),
+  const real size = twx_max(twx_max(size_of_entries(w->variables, left->v), size_of_entries(w->rows, left->h)),
                               twx_max(size_of_entries(ne, left->e), size_of_entries(w->defects, left->c)));
-  const double whole = twx_max(twx_max(twx_max(size_of_entries(w->variables, r->v), size_of_entries(w->rows, r->h)), size_of_entries(w->rows, r->s)),
+  const real whole = twx_max(twx_max(twx_max(size_of_entries(w->variables, r->v), size_of_entries(w->rows, r->h)), size_of_entries(w->rows, r->s)),
                                twx_max(size_of_entries(ne, r->e), size_of_entries(w->defects, r->c)));
-  return size / twx_max(1e-300, twx_min(w->options->refinement_error * whole, w->options->refinement_share * w->exactness * w->options->tolerance));
+  return size / twx_max(TWX_LEAST, twx_min(w->options->refinement_error * whole, w->options->refinement_share * w->exactness * w->options->tolerance));
 }
 
-static void add(size_t count, double *to, double factor, const double *from) {
+static void add(size_t count, real *to, real factor, const real *from) {
   for (size_t i = 0; i < count; i++) to[i] += factor * from[i];
 }
 
-static void add_step(const twx_work *w, twx_iterate *to, double factor, const twx_iterate *from) {
+static void add_step(const twx_work *w, twx_iterate *to, real factor, const twx_iterate *from) {
   add(w->variables, to->v, factor, from->v), add(w->rows, to->s, factor, from->s);
   add(w->defects, to->lambda, factor, from->lambda), add(w->rows, to->y, factor, from->y);
   add((size_t)w->ne, to->ye, factor, from->ye);
@@ -217,10 +217,10 @@ static void add_step(const twx_work *w, twx_iterate *to, double factor, const tw
 
 /* v, s, lambda, y and ye of a step. */
 void twx_solve_system(twx_work *w, const twx_residual *right, twx_iterate *d, int32_t with_hessian) {
-  double before = INFINITY;
+  real before = INFINITY;
   solve_once(w, right, d);
   for (int32_t n = 0; n <= (int32_t)w->options->refinements; n++) {
-    const double left = remainder_of(w, right, d, &w->residual, with_hessian);
+    const real left = remainder_of(w, right, d, &w->residual, with_hessian);
     if (!(left < before) && n > 0) add_step(w, d, -1, &w->refinement); /* refined in vain */
     if (left <= 1 || !(left < before) || n == (int32_t)w->options->refinements) return;
     before = left;

@@ -1,7 +1,7 @@
 /* Values, derivatives and moves of a transcribed problem, phase by phase. */
 #include "phase.h"
 
-static int32_t is_zero(const double *a, size_t count) {
+static int32_t is_zero(const real *a, size_t count) {
   for (size_t i = 0; i < count; i++)
     if (a[i] != 0) return 0;
   return 1;
@@ -27,18 +27,18 @@ static int32_t has_rows(const twx_memory *t, size_t point) {
 /* Whether any row or the cost does. */
 static int32_t is_asked(const twx_memory *t, size_t point) { return t->phase->weights[point] != 0 || has_rows(t, point); }
 
-static double rows_values(twx_memory *t, const double *z, double *h, double *e) {
+static real rows_values(twx_memory *t, const real *z, real *h, real *e) {
   const twx_phase *f = t->phase;
   const size_t R = (size_t)f->path_rows;
-  double cost = 0;
+  real cost = 0;
   for (size_t point = 0; point < t->points; point++) {
     if (!is_asked(t, point)) continue;
     twx_call(&f->rows.value, t, twx_inputs_at(t, z, point), t->K, t->rows, R + 1);
     for (size_t k = 0; k < t->K; k++) {
-      const double *row = t->rows + k * (R + 1);
+      const real *row = t->rows + k * (R + 1);
       cost += t->widths[k] * f->weights[point] * row[R];
       for (size_t r = 0; point <= (size_t)f->substeps && r < R; r++) {
-        double *to = twx_row_at(f, t->first + k, places_at(t, point, k)[r], h, e);
+        real *to = twx_row_at(f, t->first + k, places_at(t, point, k)[r], h, e);
         if (to) *to = row[r] + f->margins[places_at(t, point, k) + r - f->place];
       }
     }
@@ -49,7 +49,7 @@ static double rows_values(twx_memory *t, const double *z, double *h, double *e) 
 /* The slopes of the rows of a block by the unknowns, in `lane_moved`, from this row on. */
 static void move_rows(const twx_memory *t, size_t point, size_t block, size_t rows, size_t from) {
   const size_t before = from * SIZE_OF(t), entries = rows * SIZE_OF(t) - before;
-  double *const moved = t->lane_moved + before * TWX_LANES, *const packed = twx_is_start(t, point) ? moved : t->lane_rows;
+  real *const moved = t->lane_moved + before * TWX_LANES, *const packed = twx_is_start(t, point) ? moved : t->lane_rows;
   twx_pack(t, block, rows * SIZE_OF(t), entries, t->row_slopes + before, packed);
   if (!twx_is_start(t, point)) twx_lanes_along(t, rows - from, packed, SIZE_OF(t), twx_maps_at(t, point, block), moved);
 }
@@ -60,12 +60,12 @@ static void point_jacobians(const twx_memory *t, size_t point, const twx_derivat
   const size_t R = (size_t)f->path_rows, size = SIZE_OF(t), nv = N_OF(t) + (size_t)f->m, from = has_rows(t, point) ? 0 : R;
   for (size_t k = 0; k < t->K; k++) {
     const size_t lane = k % TWX_LANES;
-    const double weight = t->widths[k] * f->weights[point], *moved = t->lane_moved + lane;
+    const real weight = t->widths[k] * f->weights[point], *moved = t->lane_moved + lane;
     if (lane == 0) move_rows(t, point, k / TWX_LANES, R + 1, from);
     for (size_t r = from; r < R; r++)
       twx_add_row(f, t->first + k, places_at(t, point, k)[r], moved + r * size * TWX_LANES, TWX_LANES, size, 0, d->Jh, d->Je);
     for (size_t j = 0; j < size; j++) {
-      const double slope = moved[(R * size + j) * TWX_LANES];
+      const real slope = moved[(R * size + j) * TWX_LANES];
       d->gradient[j < nv ? (size_t)f->at.v[t->first + k] + j : (size_t)f->parameters_v + j - nv] += weight * slope;
       if (j >= nv) f->cost_slopes[(t->first + k) * (size - nv) + j - nv] += weight * slope;
     }
@@ -77,28 +77,28 @@ static void add_bends(const twx_memory *t, size_t place) {
   const size_t size = SIZE_OF(t), entries = size * size;
   for (size_t block = 0; block < t->blocks; block++) {
     twx_pack(t, block, entries, entries, t->bends, t->lane_rows);
-    const double *const maps = twx_is_start(t, place) ? NULL : twx_maps_at(t, place, block);
+    const real *const maps = twx_is_start(t, place) ? NULL : twx_maps_at(t, place, block);
     twx_lanes_bends(t, t->lane_rows, size, maps, t->H + block * entries * TWX_LANES);
   }
 }
 
 /* The upper triangles of all intervals to their blocks, and the lower ones from them. */
-static void write_hessians(const twx_memory *t, double *H) {
+static void write_hessians(const twx_memory *t, real *H) {
   const size_t size = SIZE_OF(t);
   for (size_t k = 0; k < t->K; k++) {
-    double *const block = twx_at_stage(H, t->phase->at.H, t->first + k);
-    const double *const lanes = t->H + k / TWX_LANES * size * size * TWX_LANES + k % TWX_LANES;
+    real *const block = twx_at_stage(H, t->phase->at.H, t->first + k);
+    const real *const lanes = t->H + k / TWX_LANES * size * size * TWX_LANES + k % TWX_LANES;
     for (size_t r = 0; r < size; r++)
       for (size_t j = r; j < size; j++) block[j * size + r] = block[r * size + j] = lanes[(r * size + j) * TWX_LANES];
   }
 }
 
 /* What a point is weighted by: rows at ends of substeps by their multipliers, the cost everywhere. Whether by anything. */
-static int32_t weigh_rows(const twx_memory *t, size_t point, double weight, const double *y, const double *ye) {
+static int32_t weigh_rows(const twx_memory *t, size_t point, real weight, const real *y, const real *ye) {
   const twx_phase *f = t->phase;
   const size_t R = (size_t)f->path_rows;
   for (size_t k = 0; k < t->K; k++) {
-    double *w = t->weights + k * (R + 1);
+    real *w = t->weights + k * (R + 1);
     for (size_t r = 0; r < R; r++)
       w[r] = point <= (size_t)f->substeps ? twx_weight_of(f, t->first + k, places_at(t, point, k)[r], y, ye) : 0;
     w[R] = weight * t->widths[k] * f->weights[point];
@@ -106,18 +106,18 @@ static int32_t weigh_rows(const twx_memory *t, size_t point, double weight, cons
   return !is_zero(t->weights, t->K * (R + 1)); /* the curvature of other rows is asked for */
 }
 
-static twx_inputs weighted_at(const twx_memory *t, const double *z, size_t point) {
+static twx_inputs weighted_at(const twx_memory *t, const real *z, size_t point) {
   twx_inputs in = twx_inputs_at(t, z, point);
   in.weights = t->weights, in.weight_width = (size_t)t->phase->path_rows + 1;
   return in;
 }
 
 /* Derivatives of rows and cost; the second ones with gradients by eta, but for those at stages, which come with rates. */
-static void rows_derivatives(twx_memory *t, const double *z, const twx_multipliers *q, const twx_derivatives *d) {
+static void rows_derivatives(twx_memory *t, const real *z, const twx_multipliers *q, const twx_derivatives *d) {
   const size_t rows = (size_t)t->phase->path_rows + 1, size = SIZE_OF(t), n = N_OF(t);
   for (size_t point = 0; point < t->points; point++) {
-    double *pulls = t->pulls + point * t->K * n;
-    if (d->H) memset(pulls, 0, sizeof(double) * t->K * n);
+    real *pulls = t->pulls + point * t->K * n;
+    if (d->H) memset(pulls, 0, sizeof(real) * t->K * n);
     if (!is_asked(t, point)) continue;
     const int32_t bent = d->H && weigh_rows(t, point, q->cost, q->y, q->ye);
     if (!d->F && !bent) continue;
@@ -134,7 +134,7 @@ static void rows_derivatives(twx_memory *t, const double *z, const twx_multiplie
 
 /* ---- the defects ---------------------------------------------------------------------------------------------- */
 
-static void gaps(twx_memory *t, const double *z, const twx_kernel *f, const double *weights, double *out, size_t size) {
+static void gaps(twx_memory *t, const real *z, const twx_kernel *f, const real *weights, real *out, size_t size) {
   twx_inputs in = twx_inputs_at(t, z, (size_t)t->phase->substeps);
   in.weights = weights, in.weight_width = N_OF(t);
   twx_call(f, t, in, t->K, out, size);
@@ -144,7 +144,7 @@ static void gaps(twx_memory *t, const double *z, const twx_kernel *f, const doub
 static int32_t is_turned(const twx_phase *f) { return f->turn.run && !f->steps; }
 
 /* Derivatives of the defects by eta at the ends, their rows multiplied by the left Jacobians of the defects. */
-static void gap_slopes(twx_memory *t, const double *z) {
+static void gap_slopes(twx_memory *t, const real *z) {
   const twx_phase *f = t->phase;
   const size_t n = N_OF(t);
   gaps(t, z, &f->gap.slopes, NULL, t->gap_slopes, n * n);
@@ -153,18 +153,18 @@ static void gap_slopes(twx_memory *t, const double *z) {
   twx_call(&f->turn, t, (twx_inputs){.z = t->defects, .width = n}, t->K, t->turns, n * n);
   for (size_t k = 0; k < t->K; k++) {
     twx_multiply(n, n, n, t->turns + k * n * n, t->gap_slopes + k * n * n, t->moved);
-    memcpy(t->gap_slopes + k * n * n, t->moved, sizeof(double) * n * n);
+    memcpy(t->gap_slopes + k * n * n, t->moved, sizeof(real) * n * n);
   }
 }
 
-static void gap_jacobians(const twx_memory *t, double *F) {
+static void gap_jacobians(const twx_memory *t, real *F) {
   const twx_phase *f = t->phase;
   const size_t n = N_OF(t), size = SIZE_OF(t);
   for (size_t block = 0; block < t->blocks; block++) {
     twx_pack(t, block, n * n, n * n, t->gap_slopes, t->lane_rows);
     twx_lanes_along(t, n, t->lane_rows, n, twx_maps_at(t, (size_t)f->substeps, block), t->lane_moved);
     for (size_t l = 0; l < twx_lanes_of(t, block); l++) {
-      double *const to = twx_at_stage(F, f->at.F, t->first + block * TWX_LANES + l);
+      real *const to = twx_at_stage(F, f->at.F, t->first + block * TWX_LANES + l);
       for (size_t j = 0; j < size; j++)
         for (size_t i = 0; i < n; i++) to[j * n + i] = t->lane_moved[(i * size + j) * TWX_LANES + l];
     }
@@ -172,7 +172,7 @@ static void gap_jacobians(const twx_memory *t, double *F) {
 }
 
 /* out (K, n) += rows of weights times matrices (n, n). */
-static void add_weighted(const twx_memory *t, const double *restrict weights, const double *restrict M, double *restrict out) {
+static void add_weighted(const twx_memory *t, const real *restrict weights, const real *restrict M, real *restrict out) {
   const size_t n = N_OF(t);
   for (size_t k = 0; k < t->K; k++)
     for (size_t i = 0; i < n; i++)
@@ -180,7 +180,7 @@ static void add_weighted(const twx_memory *t, const double *restrict weights, co
 }
 
 /* Second derivatives of the defects by eta at the ends. */
-static void gap_bends(twx_memory *t, const double *z) {
+static void gap_bends(twx_memory *t, const real *z) {
   const size_t n = N_OF(t);
   gaps(t, z, &t->phase->gap.bends, t->weights, t->bends, n * n);
   for (size_t block = 0; block < t->blocks; block++) {
@@ -191,25 +191,25 @@ static void gap_bends(twx_memory *t, const double *z) {
 }
 
 /* Derivatives of the defects, and with second ones the adjoints at the ends. */
-static void gap_derivatives(twx_memory *t, const double *z, const twx_multipliers *multipliers, const twx_derivatives *d) {
+static void gap_derivatives(twx_memory *t, const real *z, const twx_multipliers *multipliers, const twx_derivatives *d) {
   const twx_phase *f = t->phase;
   const size_t count = t->K * N_OF(t);
-  const double *const weights = d->H ? multipliers->lambda + f->at.c[t->first] : NULL;
+  const real *const weights = d->H ? multipliers->lambda + f->at.c[t->first] : NULL;
   const int32_t weighted = d->H && !is_zero(weights, count);
-  if (d->H) memset(t->adjoint, 0, sizeof(double) * count);
+  if (d->H) memset(t->adjoint, 0, sizeof(real) * count);
   if (d->F || weighted) gap_slopes(t, z);
   if (weighted) {
     add_weighted(t, weights, t->gap_slopes, t->adjoint);
-    memset(t->weights, 0, sizeof(double) * count);
+    memset(t->weights, 0, sizeof(real) * count);
     if (is_turned(f)) add_weighted(t, weights, t->turns, t->weights);
-    else memcpy(t->weights, weights, sizeof(double) * count);
+    else memcpy(t->weights, weights, sizeof(real) * count);
   }
   if (d->F) gap_jacobians(t, d->F); /* in memory of the turns */
   if (weighted && f->gap.bends.run) gap_bends(t, z);
 }
 
 /* The second derivatives of a stage's rate by its adjoint and of the cost there, together. */
-static void stage_bends(twx_memory *t, const double *z, size_t i, size_t place, double weight) {
+static void stage_bends(twx_memory *t, const real *z, size_t i, size_t place, real weight) {
   const twx_phase *f = t->phase;
   const size_t size = SIZE_OF(t), count = t->K * size * size;
   const int32_t bent = f->rate.bends.run && !is_zero(t->adjoints + i * t->K * N_OF(t), t->K * N_OF(t));
@@ -228,7 +228,7 @@ static void stage_bends(twx_memory *t, const double *z, size_t i, size_t place, 
 }
 
 /* Adjoints back through the substeps of all intervals; each stage adds its second derivatives. */
-static void rate_hessians(twx_memory *t, const double *z, double weight, double *adjoint) {
+static void rate_hessians(twx_memory *t, const real *z, real weight, real *adjoint) {
   const twx_phase *f = t->phase;
   const size_t S = (size_t)f->substeps, s = STAGES_OF(f), n = N_OF(t);
   for (size_t i = 0; i < t->K * n; i++) adjoint[i] += t->pulls[S * t->K * n + i];
@@ -252,7 +252,7 @@ static twx_memory memory_of(const twx_phase *f) {
   return t;
 }
 
-int32_t twx_transcribed_values(void *user, const double *z, double *cost, double *c, double *h, double *e) {
+int32_t twx_transcribed_values(void *user, const real *z, real *cost, real *c, real *h, real *e) {
   *cost = 0;
   FOR_PHASES(user, f, t) {
     FOR_WINDOWS(t) {
@@ -268,9 +268,9 @@ int32_t twx_transcribed_values(void *user, const double *z, double *cost, double
 }
 
 /* Derivatives of a window, of the first order where F is no NULL, and of the second where H is none. */
-static int32_t window_derivatives(twx_memory *t, const double *z, const twx_multipliers *weights, const twx_derivatives *d) {
+static int32_t window_derivatives(twx_memory *t, const real *z, const twx_multipliers *weights, const twx_derivatives *d) {
   if (twx_sensitivities(t, z)) return 1;
-  if (d->H) memset(t->H, 0, sizeof(double) * t->blocks * SIZE_OF(t) * SIZE_OF(t) * TWX_LANES);
+  if (d->H) memset(t->H, 0, sizeof(real) * t->blocks * SIZE_OF(t) * SIZE_OF(t) * TWX_LANES);
   rows_derivatives(t, z, weights, d);
   gap_derivatives(t, z, weights, d);
   if (!d->H) return 0;
@@ -279,9 +279,9 @@ static int32_t window_derivatives(twx_memory *t, const double *z, const twx_mult
   return 0;
 }
 
-int32_t twx_transcribed_derivatives(void *user, const double *z, const twx_multipliers *weights, const twx_derivatives *d) {
+int32_t twx_transcribed_derivatives(void *user, const real *z, const twx_multipliers *weights, const twx_derivatives *d) {
   FOR_PHASES(user, f, t) {
-    if (d->F) memset(f->cost_slopes, 0, sizeof(double) * (size_t)(f->intervals + 1) * (size_t)f->p);
+    if (d->F) memset(f->cost_slopes, 0, sizeof(real) * (size_t)(f->intervals + 1) * (size_t)f->p);
     FOR_WINDOWS(t) if (window_derivatives(&t, z, weights, d)) return 1;
     if (d->F) twx_node_jacobians(&t, z, d->gradient, d->Jh, d->Je);
     if (d->F && f->join) twx_join_jacobians(&t, z, d->F);
@@ -291,24 +291,24 @@ int32_t twx_transcribed_derivatives(void *user, const double *z, const twx_multi
   return 0;
 }
 
-int32_t twx_transcribed_jacobians(void *user, const double *z, double *gradient, double *F, double *Jh, double *Je) {
+int32_t twx_transcribed_jacobians(void *user, const real *z, real *gradient, real *F, real *Jh, real *Je) {
   const twx_derivatives d = {gradient, F, Jh, Je, NULL};
   return twx_transcribed_derivatives(user, z, NULL, &d);
 }
 
-int32_t twx_transcribed_hessians(void *user, const double *z, double weight, const double *lambda, const double *y,
-                                 const double *ye, double *H) {
+int32_t twx_transcribed_hessians(void *user, const real *z, real weight, const real *lambda, const real *y,
+                                 const real *ye, real *H) {
   const twx_multipliers weights = {weight, lambda, y, ye};
   const twx_derivatives d = {NULL, NULL, NULL, NULL, H};
   return twx_transcribed_derivatives(user, z, &weights, &d);
 }
 
-int32_t twx_transcribed_retract(void *user, const double *z, const double *d, double *moved) {
+int32_t twx_transcribed_retract(void *user, const real *z, const real *d, real *moved) {
   FOR_PHASES(user, f, t) {
     const size_t nodes = (size_t)f->intervals + 1, stride = (size_t)(f->point + f->m), m = (size_t)f->m;
     for (size_t k = 0; k < nodes; k++) {
-      const double *step = d + f->at.v[k], *from = z + f->at.z[k];
-      double *to = moved + f->at.z[k];
+      const real *step = d + f->at.v[k], *from = z + f->at.z[k];
+      real *to = moved + f->at.z[k];
       for (size_t i = 0; !f->retract.run && i < t.n; i++) to[i] = from[i] + step[i];
       for (size_t i = 0; k + 1 < nodes && i < m; i++) to[(size_t)f->point + i] = from[(size_t)f->point + i] + step[t.n + i];
     }

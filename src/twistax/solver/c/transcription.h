@@ -27,7 +27,7 @@ typedef enum {
 typedef struct { /* rows of the arrays in a table, from first to end; NULL: the result is zero */
   void (*run)(const int64_t *table, int64_t first, int64_t end);
   int32_t reads, argument[TWX_ARGUMENTS];
-  const double *numbers; /* that stay: problems that differ in these alone share machine code */
+  const real *numbers; /* that stay: problems that differ in these alone share machine code */
 } twx_kernel;
 
 typedef struct { /* a vector with its first derivative, and the second of a weighted sum */
@@ -40,7 +40,7 @@ typedef struct { /* conditions on one node of (eta, p) */
   twx_smooth function;
   int32_t stage;
   const int32_t *place;
-  const double *margins;
+  const real *margins;
 } twx_node;
 
 typedef struct { /* where the next phase starts: log(x_next^-1 jump(x_last, p)), zero in entries that are free */
@@ -57,25 +57,25 @@ typedef struct { /* offsets by stage, K + 1 each */
 
 typedef struct {
   int32_t n, m, p, point, intervals, substeps, stages, implicit, path_rows, nodes, iterations;
-  double close;                 /* implicit methods: relative size of a Newton step after which one more is the last */
+  real close;                 /* implicit methods: relative size of a Newton step after which one more is the last */
   int64_t parameters_z, parameters_v; /* where p stands in points and in variables */
-  const double *a, *b, *c;      /* of the method; a is row-major */
-  const double *weights;        /* of the running cost, of a unit interval: of the ends of substeps, then of all stages */
-  const double *starts, *widths; /* of the intervals, shares of the duration */
-  const double *data;
-  const double *node_rows;      /* (intervals + 1, node_width) numbers of the nodes */
+  const real *a, *b, *c;      /* of the method; a is row-major */
+  const real *weights;        /* of the running cost, of a unit interval: of the ends of substeps, then of all stages */
+  const real *starts, *widths; /* of the intervals, shares of the duration */
+  const real *data;
+  const real *node_rows;      /* (intervals + 1, node_width) numbers of the nodes */
   int32_t node_width;
   const int32_t *place;         /* of path rows: (intervals, substeps + 1, path_rows) */
-  const double *margins;        /* by which path rows are tightened, the same */
-  const double *steps;          /* (K + 1, n): nodes are these steps from their points, in the charts there; NULL: zero */
+  const real *margins;        /* by which path rows are tightened, the same */
+  const real *steps;          /* (K + 1, n): nodes are these steps from their points, in the charts there; NULL: zero */
   twx_offsets at;
   twx_smooth rate, rows, gap;   /* rows: path constraints, then the density of the running cost */
   twx_kernel retract, turn;     /* turn: the left Jacobian of a defect, where the manifold is not flat */
   const twx_node *node;         /* the last one is the end, with the final cost as its last row */
   const twx_join *join;         /* to the next phase, or NULL */
   int32_t window;               /* intervals that are evaluated together, or 0: all, and sensitivities are kept */
-  double *cost_slopes;          /* (intervals + 1, p): what each stage adds to the gradient of the cost by p, of the last jacobians */
-  double *work, *scratch;       /* scratch: of derivatives; where not all intervals are evaluated together nothing in it is kept */
+  real *cost_slopes;          /* (intervals + 1, p): what each stage adds to the gradient of the cost by p, of the last jacobians */
+  real *work, *scratch;       /* scratch: of derivatives; where not all intervals are evaluated together nothing in it is kept */
 } twx_phase;
 
 typedef struct {
@@ -83,14 +83,14 @@ typedef struct {
   twx_phase *phase;
 } twx_transcription;
 
-size_t twx_phase_work(const twx_phase *f); /* doubles */
+size_t twx_phase_work(const twx_phase *f); /* numbers */
 size_t twx_phase_scratch(const twx_phase *f);
 /* Functions for `twx_problem`; user is a twx_transcription. */
-int32_t twx_transcribed_values(void *user, const double *z, double *cost, double *c, double *h, double *e);
-int32_t twx_transcribed_jacobians(void *user, const double *z, double *gradient, double *F, double *Jh, double *Je);
-int32_t twx_transcribed_hessians(void *user, const double *z, double weight, const double *lambda, const double *y,
-                                 const double *ye, double *H);
+int32_t twx_transcribed_values(void *user, const real *z, real *cost, real *c, real *h, real *e);
+int32_t twx_transcribed_jacobians(void *user, const real *z, real *gradient, real *F, real *Jh, real *Je);
+int32_t twx_transcribed_hessians(void *user, const real *z, real weight, const real *lambda, const real *y,
+                                 const real *ye, real *H);
 /* eta where a substep of the last integrated point ends, of all intervals of a phase: (K, n). */
-void twx_phase_states(const twx_phase *f, int32_t substep, double *eta);
-int32_t twx_transcribed_retract(void *user, const double *z, const double *d, double *moved);
+void twx_phase_states(const twx_phase *f, int32_t substep, real *eta);
+int32_t twx_transcribed_retract(void *user, const real *z, const real *d, real *moved);
 #endif

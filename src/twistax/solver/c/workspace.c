@@ -2,15 +2,17 @@
 #include "work.h"
 
 typedef struct {
-  double *at; /* NULL: sizes are counted alone */
-  size_t used;
+  real *at; /* NULL: sizes are counted alone */
+  size_t used, bytes; /* bytes: of a number */
 } arena;
 
-static double *take(arena *a, size_t count) {
-  double *const start = a->at ? a->at + a->used : NULL;
+static real *take(arena *a, size_t count) {
+  real *const start = a->at ? a->at + a->used : NULL;
   a->used += count;
   return start;
 }
+
+static void *take_bytes(arena *a, size_t bytes) { return take(a, (bytes + a->bytes - 1) / a->bytes); }
 
 /* What the linear system has of a step: steps of the multipliers of bounds follow from it. */
 static void take_move(arena *a, const twx_work *w, twx_iterate *q) {
@@ -34,11 +36,11 @@ static void take_values(arena *a, const twx_work *w, twx_values *q) {
 
 /* Copies of iterates are one block: v is the first of its arrays. */
 void twx_copy_iterate(const twx_work *w, twx_iterate *to, const twx_iterate *from) {
-  memcpy(to->v, from->v, sizeof(double) * w->point_size);
+  memcpy(to->v, from->v, sizeof(real) * w->point_size);
 }
 
 void twx_copy_step(const twx_work *w, twx_iterate *to, const twx_iterate *from) {
-  memcpy(to->v, from->v, sizeof(double) * (w->variables + 2 * w->rows + w->defects + (size_t)w->ne));
+  memcpy(to->v, from->v, sizeof(real) * (w->variables + 2 * w->rows + w->defects + (size_t)w->ne));
 }
 
 static int32_t sizes_are_possible(const twx_problem *p) {
@@ -100,14 +102,12 @@ static void take_system(arena *a, twx_work *w, const totals *t) {
   w->t2 = take(a, n * (B + 1));
 }
 
-size_t twx_carve(twx_work *w, const twx_problem *p, double *base) {
-  arena a = {base, 0};
+static size_t carve(twx_work *w, const twx_problem *p, arena a) {
   totals t;
-  const size_t doubles = (sizeof(twx_stage) + sizeof(double) - 1) / sizeof(double);
   place_stages(w, p, NULL, &t);
   take_system(&a, w, &t);
   a.used = twx_most(a.used, p->scratch);
-  w->stages = (twx_stage *)(void *)take(&a, doubles * ((size_t)p->intervals + 1));
+  w->stages = take_bytes(&a, sizeof(twx_stage) * ((size_t)p->intervals + 1));
   place_stages(w, p, w->stages, &t);
   const size_t V = w->variables, R = w->rows, E = (size_t)w->ne, n = (size_t)t.n;
   const size_t columns = twx_most(twx_most((size_t)t.nx, 2 * (size_t)t.nu), twx_most((size_t)w->np, E));
@@ -119,7 +119,7 @@ size_t twx_carve(twx_work *w, const twx_problem *p, double *base) {
   w->ones = p->size ? NULL : take(&a, V), w->size = p->size ? p->size : w->ones;
   w->row_scale = take(&a, R), w->equality_scale = take(&a, E), w->gradient = take(&a, V);
   w->F = take(&a, t.F), w->Jh = take(&a, t.Jh), w->Je = take(&a, t.Je), w->H = take(&a, t.H);
-  w->Sv = take(&a, V), w->Ss = take(&a, R), w->place = (int32_t *)(void *)take(&a, (E + 1) / 2 + 1);
+  w->Sv = take(&a, V), w->Ss = take(&a, R), w->place = take_bytes(&a, sizeof(int32_t) * (E + 1));
   w->t0 = take(&a, n * n);
   w->t3 = take(&a, twx_most(twx_most(V + (size_t)w->np, w->defects + R + E), twx_most(twx_most(4 * columns, n), 2 * ((size_t)t.nh + (size_t)t.ne))));
   w->filter_size = p->filter_rows > 0 ? p->filter_rows : TWX_FILTER_ROWS;
@@ -127,9 +127,12 @@ size_t twx_carve(twx_work *w, const twx_problem *p, double *base) {
   return a.used;
 }
 
-size_t twx_workspace_size(const twx_problem *p) {
+size_t twx_carve(twx_work *w, const twx_problem *p, real *base) { return carve(w, p, (arena){base, 0, sizeof(real)}); }
+
+size_t twx_workspace_size(const twx_problem *p, size_t bytes) {
   twx_work w;
-  return sizes_are_possible(p) ? twx_carve(&w, p, NULL) : 0;
+  const size_t size = sizes_are_possible(p) ? carve(&w, p, (arena){NULL, 0, bytes}) : 0;
+  return size <= UINT32_MAX ? size : 0; /* places of stages are numbers of 32 bits */
 }
 
 int32_t twx_count(const twx_problem *p, twx_counts *counts) {

@@ -5,21 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
 from numpy import ndarray as Array
 
 from ...errors import TrajectoryError
 from ...scalar.primitives.entry import Operation
 from ...scalar.primitives.table_load import Table
 from ...scalar.program import ScalarProgram
-from ...scalar.targets.c import c_type, expression
+from ...scalar.targets.c import CType, c_type, expression
 from ...scalar.targets.llvm.code import NotNative
 from ...system.export.c_code import numbers
 from ...system.hessian import REFUSALS
 from ..kernels import Argument, BatchKernel, ScalarForm
 from .shared_functions import SharedFunctions
-
-_REAL = c_type(np.dtype(float))
 
 #: Of a function whose result is zero.
 NO_KERNEL = "{NULL, 0, {0}, NULL}"
@@ -28,12 +25,16 @@ NO_KERNEL = "{NULL, 0, {0}, NULL}"
 class KernelCode:
     """The C functions of kernels, each written once.
 
+    Args:
+        real: the type of their numbers.
+
     Attributes:
         functions: their text, in the order in which they were asked for.
         operations: of a row of each kernel, by its number and name. Kernels with the same code share a function.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, real: CType) -> None:
+        self._real = real
         self.functions, self.operations = list[str](), dict[str, int]()
         self._tables, self._functions = dict[Table, None](), dict[str, str]()
 
@@ -45,7 +46,7 @@ class KernelCode:
         Raises:
             TrajectoryError: the function has no scalar form.
         """
-        return self.written(None if kernel is None else scalar_form(kernel, what), what)
+        return self.written(None if kernel is None else self._scalar_form(kernel, what), what)
 
     def sharing(self, kernels: Mapping[str, BatchKernel]) -> tuple[list[str], int]:
         """The initialisers of kernels that compute common elementary functions once: those of the kernels, and that of
@@ -54,7 +55,7 @@ class KernelCode:
         Args:
             kernels: of the values, then of derivatives, by name.
         """
-        forms = [scalar_form(kernel, what) for what, kernel in kernels.items()]
+        forms = [self._scalar_form(kernel, what) for what, kernel in kernels.items()]
         functions = None if forms[0] is None else SharedFunctions(forms[0].program)
         of_functions, width = None, 0
         if forms[0] is not None and functions is not None and functions.width:
@@ -63,13 +64,31 @@ class KernelCode:
         names = [*kernels, f"{next(iter(kernels))}_functions"]
         return [self.written(form, what) for form, what in zip([*forms, of_functions], names, strict=True)], width
 
+    def _scalar_form(self, kernel: BatchKernel, what: str) -> ScalarForm | None:
+        """The program of a kernel; None if its result is zero.
+
+        Raises:
+            TrajectoryError: the function has no scalar form.
+        """
+        if kernel.structure.run is None:
+            return None
+        if kernel.written is None:
+            raise TrajectoryError(f"to_c: {what} has no scalar form")
+        try:
+            return kernel.written(self._real.dtype)
+        except (*REFUSALS, NotNative) as error:
+            raise TrajectoryError(
+                f"to_c: {what} has no scalar form: {error}\n"
+                "  fix: use nodes, without JAX functions that call a library or the host"
+            ) from error
+
     def written(self, form: ScalarForm | None, what: str) -> str:
         """The initialiser of a `twx_kernel`, whose function is written; None: its result is zero."""
         if form is None:
             return NO_KERNEL
         program, arguments, values = form
         name = f"kernel_{len(self.operations)}_{what}"
-        used, text = _function(name, program)
+        used, text = _function(name, program, self._real.name)
         function = self._functions.setdefault(text.replace(name, ""), name)
         if function == name:
             self.functions.append(text)
@@ -78,41 +97,22 @@ class KernelCode:
         constants = "NULL"
         if len(values) and Argument.NUMBERS in (arguments[k] for k in used):
             constants = f"{name}_numbers"
-            self.functions.append(numbers(constants, values, _REAL))
+            self.functions.append(numbers(constants, values, self._real))
         places = ", ".join(str(int(arguments[k])) for k in used)
         return f"{{{function}, {len(used)}, {{{places or 0}}}, {constants}}}"
 
     @property
     def text(self) -> str:
         """All functions, after the tables that they load from."""
-        tables = [numbers(table.name, table.numbers(np.dtype(float)), _REAL) for table in self._tables]
+        tables = [numbers(table.name, table.numbers(self._real.dtype), self._real) for table in self._tables]
         return "\n".join([*tables, *self.functions])
-
-
-def scalar_form(kernel: BatchKernel, what: str) -> ScalarForm | None:
-    """The program of a kernel; None if its result is zero.
-
-    Raises:
-        TrajectoryError: the function has no scalar form.
-    """
-    if kernel.structure.run is None:
-        return None
-    if kernel.written is None:
-        raise TrajectoryError(f"to_c: {what} has no scalar form")
-    try:
-        return kernel.written()
-    except (*REFUSALS, NotNative) as error:
-        raise TrajectoryError(
-            f"to_c: {what} has no scalar form: {error}\n"
-            "  fix: use nodes, without JAX functions that call a library or the host"
-        ) from error
 
 
 def _reading(functions: SharedFunctions, form: ScalarForm) -> ScalarForm:
     return form._replace(program=functions.read_by(form.program), arguments=[*form.arguments, Argument.SHARED])
 
 
-def _function(name: str, program: ScalarProgram) -> tuple[list[int], str]:
+def _function(name: str, program: ScalarProgram, real: str) -> tuple[list[int], str]:
     """The arguments that are read, and the text."""
     graph, lines = program.graph, list[str]()
     used: list[int] = []
@@ -129,25 +129,25 @@ def _function(name: str, program: ScalarProgram) -> tuple[list[int], str]:
 
     values = program.computed(entry, lambda value, dtype: c_type(dtype).literal(value), computed)
     results = [f"out[{k}] = {values[node]};" for k, node in enumerate(program.flat)]
-    return used, _loop(name, used, [*lines, *results])
+    return used, _loop(name, used, [*lines, *results], real)
 
 
-def _loop(name: str, used: Sequence[int], lines: Sequence[str]) -> str:
+def _loop(name: str, used: Sequence[int], lines: Sequence[str], real: str) -> str:
     count = len(used)
     rows = [
-        f"const double *const a{argument} = (const double *)(intptr_t)table[{k}] + row * table[{count + 1 + k}];"
+        f"const {real} *const a{argument} = (const {real} *)(intptr_t)table[{k}] + row * table[{count + 1 + k}];"
         for k, argument in enumerate(used)
     ]
-    rows.append(f"double *const out = (double *)(intptr_t)table[{count}] + row * table[{2 * count + 1}];")
+    rows.append(f"{real} *const out = ({real} *)(intptr_t)table[{count}] + row * table[{2 * count + 1}];")
     inner = "".join(f"    {line}\n" for line in (*rows, *lines))
     head = f"static void {name}(const int64_t *table, int64_t first, int64_t end)"
     return f"{head}\n{{\n  for (int64_t row = first; row < end; row++) {{\n{inner}  }}\n}}\n"
 
 
-def array(name: str, values: Array) -> str:
+def array(name: str, values: Array, real: CType) -> str:
     """A constant array of numbers or whole numbers."""
     if values.dtype == float:
-        return numbers(name, values, _REAL)
+        return numbers(name, values, real)
     kind: Any = c_type(values.dtype)
     entries = [str(int(v)) for v in values.ravel()]
     lines = [", ".join(entries[k : k + 16]) for k in range(0, len(entries), 16)]

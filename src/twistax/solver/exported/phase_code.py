@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from ...scalar.targets.c import c_type
+from ...scalar.targets.c import CType
 from ..kernels import SmoothKernels
 from ..sources import constant
 from ..structures import JoinStructure, NodeStructure
 from ..transcription import NONE, CorePhase, Transcription
 from .kernel_code import NO_KERNEL, KernelCode, array
+from .precision import Precision
 
 #: Arrays that a controller has in its own memory.
 _OWN_MEMORY = ("data", "node_rows", "work", "scratch", "cost_slopes", "steps", "join", "window")
 
 #: Intervals that the core has side by side.
 LANES = constant("phase.h", "TWX_LANES")
+
+#: Epsilons of a Newton step of an implicit method after which one more is exact to rounding.
+_CLOSE = 1024.0
 
 #: The kernels of a `twx_smooth`.
 _ORDERS = ("value", "slopes", "bends")
@@ -29,25 +33,26 @@ class PhaseCode:
     """The constants of the phases of a problem.
 
     Args:
-        windows: of each phase, intervals that are evaluated together.
+        real: the type of numbers.
 
     Attributes:
         kernels: the functions.
+        shared_widths: of each phase, the number of elementary functions that the rate and its derivatives share.
         text: of the constants; the array of phases is called `phases`.
     """
 
-    def __init__(self, transcription: Transcription, windows: Sequence[int]) -> None:
-        self.kernels = KernelCode()
+    def __init__(self, transcription: Transcription, real: CType) -> None:
+        self.kernels, self._real, self.shared_widths = KernelCode(real), real, list[int]()
         self._arrays, self._texts = transcription.arrays, list[str]()
         self._names, self._phases = dict[int, str](), transcription.phases
         bodies, self._operations = list[str](), list[dict[str, int]]()
-        for k, window in enumerate(windows):
+        for k, structure in enumerate(transcription.described):
             before = len(self.kernels.operations)
-            bodies.append(self._body(k, transcription.described[k], window))
+            bodies.append(self._body(k, structure))
             self._operations.append(dict(list(self.kernels.operations.items())[before:]))
         self._texts.append("static const twx_phase phases[] = {\n" + ",\n".join(bodies) + "\n};\n")
 
-    def _body(self, number: int, structure: Any, window: int) -> str:
+    def _body(self, number: int, structure: Any) -> str:
         """The initialiser of a phase, after what it points to."""
         phase = self._phases[number]
         kernels = phase.kernels
@@ -58,7 +63,6 @@ class PhaseCode:
         places = {name: self._pointer(getattr(structure.at, name)) for name, _ in structure.at._fields_}
         offsets = ", ".join(f".{name} = {place}" for name, place in places.items())
         fields += [f".at = {{{offsets}}}", f".node = nodes_{number}", f".node_width = {structure.node_width}"]
-        fields.append(f".window = {window}")
         self._texts.append(self._nodes(number, structure, [function for _, function in kernels.nodes]))
         if phase.join is not None:
             turn = self.kernels.structure(self._phases[number + 1].kernels.turn, "turn")
@@ -109,7 +113,7 @@ class PhaseCode:
         if kind in (ctypes.c_int32, ctypes.c_int64):
             return "" if name == "node_width" else f".{name} = {value}"
         if kind is ctypes.c_double:
-            return f".{name} = {c_type(np.dtype(float)).literal(value)}"
+            return f".{name} = {self._real.literal(Precision(self._real).at_least(value, _CLOSE))}"
         return f".{name} = {self._pointer(value)}" if kind is ctypes.c_void_p and name != "node" else ""
 
     def _pointer(self, address: int | None) -> str:
@@ -117,12 +121,13 @@ class PhaseCode:
             return "NULL"
         if address not in self._names:
             self._names[address] = f"array_{len(self._names)}"
-            self._texts.append(array(self._names[address], self._arrays[address]))
+            self._texts.append(array(self._names[address], self._arrays[address], self._real))
         return self._names[address]
 
     def _rate(self, rate: SmoothKernels) -> str:
         kernels = {f"rate_{order}": kernel for order, kernel in zip(_ORDERS, rate.kernels)}
         parts, width = self.kernels.sharing(kernels)
+        self.shared_widths.append(width)
         parts[-1:-1] = [NO_KERNEL] * (len(_ORDERS) + 1 - len(parts))
         return "{" + ", ".join([*parts, str(rate.rows), str(width)]) + "}"
 

@@ -49,7 +49,7 @@ def write_c(
 ) -> CFiles:
     """Implements `Dynamics.to_c`, which documents the arguments."""
     check_name(name)
-    exporter = Exporter(dynamics, _real(dtype).dtype, checked, loops=True)
+    exporter = Exporter(dynamics, real_type(dtype).dtype, checked, loops=True)
     functions = _functions(exporter, jacobian, step)
     return write_functions(exporter, functions, directory, name=name, points=points, tolerance=tolerance)
 
@@ -65,7 +65,7 @@ def write_functions(
 ) -> CFiles:
     """Write the files of functions. Arguments are those of `write_c`."""
     check_name(name)
-    real = _real(exporter.dtype)
+    real = real_type(exporter.dtype)
     of_functions = dict.fromkeys(port for f in functions for port in (*f.extra, *f.results))
     names = identifiers([*exporter.arguments, *of_functions])
     chosen_points = _drawn_points(exporter) if points is None else [_point(exporter, point) for point in points]
@@ -89,14 +89,19 @@ def check_name(name: str) -> None:
         raise InputError(f"name expects a name that no C header has, got {name!r}: {name.lower()}.h is a header of C")
 
 
-def _real(dtype: Any) -> CType:
+def real_type(dtype: Any) -> CType:
+    """The type in C of a user's dtype.
+
+    Raises:
+        InputError: neither double nor single precision.
+    """
     try:
-        real_type = np.dtype(dtype)
+        numpy_type = np.dtype(dtype)
     except TypeError:
         raise InputError(f"dtype expects float64 or float32, got {dtype!r}") from None
-    if real_type.name not in _TOLERANCES:
-        raise InputError(f"dtype expects float64 or float32, got {real_type.name}")
-    return c_type(real_type)
+    if numpy_type.name not in _TOLERANCES:
+        raise InputError(f"dtype expects float64 or float32, got {numpy_type.name}")
+    return c_type(numpy_type)
 
 
 def _functions(exporter: Exporter, jacobian: Sequence[str], step: Any) -> list[ExportedFunction]:

@@ -333,32 +333,32 @@ class Controller:
         *,
         name: str = "controller",
         states: Sequence[Mapping[str, Any]] | None = None,
-        tolerance: float = 1e-9,
+        tolerance: float | None = None,
         memory: int = MEMORY,
+        dtype: Any = np.float64,
     ) -> CFiles:
         """Write C99 code: `name.h` with the interface, `name.c`, and `name_test.c` with reference values.
 
         The code consists of the solver's core, the functions of the problem, and `name_init`, `name_prepare`,
-        `name_feedback` and `name_shift`, in double precision. `name_init` sets the present plan. The code allocates no
+        `name_feedback` and `name_shift`. `name_init` sets the present plan. The code allocates no
         memory, has no global state, and needs only libm. The header states the size of the workspace and the number of
         operations of an iteration.
 
         Args:
             directory: the folder of the files, which is created if missing.
             name: the name of the files, and the prefix of all functions.
-            states: measured states of the test program, which shifts the plan after each of them; by default random
-                states near the plan.
-            tolerance: tolerance of the test program's comparison, relative to the largest entry of an iterate.
-            memory: bytes that the controller may use for a faster solve; with 0 the memory is minimal. The header
-                states its size.
+            states: measured states of the test program, which shifts the plan after each; or random ones near it.
+            tolerance: of the test program, relative to the largest entry of an iterate; 1e-9, or 5e-3 for float32.
+            memory: bytes that the controller may use for a faster solve; 0: as few as it can. The header states them.
+            dtype: float64 or float32, the precision of the code. The header states to which accuracy a call is solved.
         Returns:
             The paths `header`, `source` and `test`.
         Raises:
             TrajectoryError: a function of the problem has no scalar form.
-            InputError: a name that is not a C identifier; a directory that is not writable, or that contains other
-                files of these names.
+            InputError: a name that is not a C identifier; another dtype; a directory that is not writable, or that
+                contains other files of these names.
         """
-        return write_controller(self, directory, name=name, states=states, tolerance=tolerance, memory=memory)
+        return write_controller(self, directory, name, dtype, memory, states=states, tolerance=tolerance)
 
     @property
     def measures(self) -> dict[str, float]:

@@ -13,12 +13,13 @@ from numpy import ndarray as Array
 
 from ...checks import number, path_of, whole
 from ...progress import watching
-from ...scalar.targets.c import c_type
+from ...scalar.targets.c import CType
 from ...solver.exported.kernel_code import array
 from ...solver.exported.phase_code import PhaseCode
+from ...solver.exported.precision import Precision
 from ...solver.sources import controller_core
 from ...system.export import CFiles
-from ...system.export.c99 import check_name, write_files
+from ...system.export.c99 import check_name, real_type, write_files
 from ...system.export.c_code import mark
 from ..strategy.measure import COST
 from .gains import GAINS_CURVATURE, GAINS_LEAST
@@ -26,7 +27,13 @@ from .memory import ControllerMemory
 from .plan_units import BARRIER_LEAST, BARRIER_MOST, BARRIER_SHARE
 from .rehearsal import drawn_states, rehearsed
 
-_REAL = c_type(np.dtype(float))
+#: Of iterates at which the test program gives up, relative to their largest entry.
+_TOLERANCES = {"float64": 1e-9, "float32": 5e-3}
+
+#: Which iterates are compared in single precision.
+_OF_SINGLE = (
+    "\n * Plans are compared where Python solved the problem: iterates before a solution differ by more than rounding."
+)
 
 #: Bytes of memory that a controller may use for a faster solve.
 MEMORY = 256 * 1024
@@ -35,13 +42,17 @@ MEMORY = 256 * 1024
 class ControllerCode:
     """The C code of a controller with its present plan."""
 
-    def __init__(self, controller: Any, name: str, memory: int) -> None:
-        self._controller, self._name = controller, name
+    def __init__(self, controller: Any, name: str, memory: int, real: CType) -> None:
+        self._controller, self._name, self._real = controller, name, real
+        self._precision, self._literal = Precision(real), real.literal
         self._solve, self._staged = controller.prepared, controller.staged
         self._transcription = self._staged.transcription
         self._stages = self._transcription.stages
-        self._memory = ControllerMemory(self._solve, self._transcription, len(controller.data.numbers), memory)
-        self._phases = PhaseCode(self._transcription, self._memory.windows)
+        self._phases, data = PhaseCode(self._transcription, real), len(controller.data.numbers)
+        shared, size = self._phases.shared_widths, self._precision.bytes
+        self._memory = ControllerMemory(self._solve, self._transcription, shared, size, data, memory)
+        size_of_plan = np.abs(self._solve.v / controller.units.size).max(initial=0.0)
+        self._options = self._precision.options(self._solve.options, float(size_of_plan))
         self._node, self._controls = controller.first_node, controller.first_controls
         point = self._staged.parts[0].point
         states = controller.part.phase.dynamics.states
@@ -60,7 +71,7 @@ class ControllerCode:
 
     def _filled(self, template: str, **parts: Any) -> str:
         text = Path(__file__).with_name(template).read_text()
-        return Template(text).substitute(mark=mark(), name=self._name, **parts)
+        return Template(text).substitute(mark=mark(), name=self._name, **self._precision.words, **parts)
 
     # ---- header file -------------------------------------------------------------------------------------------------
 
@@ -76,16 +87,17 @@ class ControllerCode:
             "controls": listed(self._controls.shapes.items()),
             "parameters": listed((name, np.shape(values)) for name, (values, _) in self._params.items()),
             "layout": self._layouts(),
-            "bytes": 8 * self._memory.doubles,
-            "library": "log, log10, pow, sqrt, and those that the problem's functions call",
+            "error": f"{COST * self._options['tolerance']:.0e}",
+            "violation": f"{self._options['violation']:.0e}",
+            "bytes": self._memory.bytes,
             "iterations": int(options.iterations),
             "restoration": int(options.restoration_iterations),
             **self._phases.work(self._stages.parameters),
-            "prepare_arguments": "".join(f", const double *{_c(f'p_{name}')}" for name in self._params),
+            "prepare_arguments": "".join(f", const {self._real.name} *{_c(f'p_{name}')}" for name in self._params),
             **self._arguments,
             "state_tangents": self._tangents,
             "side": self._side,
-            "gains_bytes": 8 * (sizes["variables"] + sizes["rows"] + self._tangents * self._side),
+            "gains_bytes": self._precision.bytes * (sizes["variables"] + sizes["rows"] + self._tangents * self._side),
             **self._shift_texts(),
         }
 
@@ -119,7 +131,7 @@ class ControllerCode:
 
     @property
     def _side(self) -> int:
-        """The number of doubles of a right-hand side of the linearised first-order conditions."""
+        """The count of numbers of a right-hand side of the linearised first-order conditions."""
         solve = self._solve
         return len(solve.v) + len(solve.lam) + len(solve.s) + len(solve.ye) + 1
 
@@ -128,14 +140,16 @@ class ControllerCode:
         """Arguments of a C function, each preceded by a comma."""
         return {
             "state_arguments": self._state_arguments,
-            "control_results": "".join(f", double *{_c(f'u_{name}')}" for name in self._controls.shapes),
-            "gain_results": "".join(f", double *{_c(f'k_{name}')}" for name in self._controls.shapes),
-            "gain_arguments": "".join(f", const double *{_c(f'k_{name}')}" for name in self._controls.shapes),
+            "control_results": "".join(f", {self._real.name} *{_c(f'u_{name}')}" for name in self._controls.shapes),
+            "gain_results": "".join(f", {self._real.name} *{_c(f'k_{name}')}" for name in self._controls.shapes),
+            "gain_arguments": "".join(
+                f", const {self._real.name} *{_c(f'k_{name}')}" for name in self._controls.shapes
+            ),
         }
 
     @property
     def _state_arguments(self) -> str:
-        return "".join(f", const double *{_c(f'x_{name}')}" for name, _ in self._states)
+        return "".join(f", const {self._real.name} *{_c(f'x_{name}')}" for name, _ in self._states)
 
     def _shift_texts(self) -> dict[str, str]:
         """What the header says of the shift, and its call in the test program."""
@@ -156,8 +170,9 @@ class ControllerCode:
         phase, stages = self._transcription.phases[0], self._stages
         sizes = {(other.n, other.m, len(other.method.b)) for other in self._transcription.phases}
         if len(sizes) > 1:
-            return controller_core()
+            return controller_core(self._precision.is_single)
         return controller_core(
+            self._precision.is_single,
             states=phase.n,
             controls=phase.m,
             parameters=stages.parameters,
@@ -167,11 +182,11 @@ class ControllerCode:
         )
 
     def _source(self) -> dict[str, Any]:
-        sizes, solve, staged = self._memory.sizes, self._solve, self._staged
+        sizes, staged = self._memory.sizes, self._staged
         phase, point = self._transcription.phases[0], staged.parts[0].point
         units, constants = self._controller.units, self._constants()
         empty = {name for name, values in constants.items() if not np.size(values)}
-        texts = [array(name, np.asarray(a)) for name, a in constants.items() if name not in empty]
+        texts = [array(name, np.asarray(a), self._real) for name, a in constants.items() if name not in empty]
         every = ["lower", "upper", "v", "s", "lambda", "y", "ye", "zl", "zu", "data"]
         loaded = [name for name in every if f"start_{name}" not in empty]
         texts += [f"#define {name} NULL\n" for name in ("unit_rows", "unit_equalities") if name in empty]
@@ -179,7 +194,7 @@ class ControllerCode:
             **sizes,
             "core": self._core(),
             "constants": "\n".join([self._phases.text, *texts]),
-            "options": ", ".join(_REAL.literal(getattr(solve.options, name)) for name, _ in solve.options._fields_),
+            "options": ", ".join(self._literal(value) for value in self._options.values()),
             "phases": len(self._transcription.phases),
             "stages": len(self._stages.states),
             "parameters": self._stages.parameters,
@@ -189,25 +204,25 @@ class ControllerCode:
             "intervals": phase.intervals,
             "point": point.size,
             "measured_point": self._node.size,
-            "cost_unit": _REAL.literal(units.cost),
+            "cost_unit": self._literal(units.cost),
             "load": "\n".join(f"  memcpy(c->{name}, start_{name}, sizeof start_{name});" for name in loaded),
             "prepare": self._prepare(),
-            "prepare_arguments": "".join(f", const double *{_c(f'p_{name}')}" for name in self._params),
+            "prepare_arguments": "".join(f", const {self._real.name} *{_c(f'p_{name}')}" for name in self._params),
             **self._arguments,
             **self._memory.layout,
             "scratch": self._memory.scratch,
-            "curvature": _REAL.literal(GAINS_CURVATURE),
-            "least_distance": _REAL.literal(GAINS_LEAST),
+            "curvature": self._literal(self._precision.at_least(GAINS_CURVATURE, 32.0)),
+            "least_distance": self._literal(self._precision.at_least(GAINS_LEAST, 8.0)),
             **self._of_controls(),
             "read_state": "\n".join(
-                f"  memcpy(x + {places[0]}, {_c(f'x_{name}')}, sizeof(double) * {len(places)});"
+                f"  memcpy(x + {places[0]}, {_c(f'x_{name}')}, sizeof(real) * {len(places)});"
                 for name, places in self._states
             ),
-            "share": _REAL.literal(BARRIER_SHARE),
-            "least": _REAL.literal(BARRIER_LEAST),
-            "most": _REAL.literal(BARRIER_MOST),
-            "sign": _REAL.literal(self._controller.problem.sign),
-            "cost_share": _REAL.literal(COST),
+            "share": self._literal(BARRIER_SHARE),
+            "least": self._literal(self._precision.at_least(BARRIER_LEAST, 8.0)),
+            "most": self._literal(BARRIER_MOST),
+            "sign": self._literal(self._controller.problem.sign),
+            "cost_share": self._literal(COST),
             "shifts": int(self._controller.moves_on is not None),
             "last": int(self._stages.first[-1]),
             "gather_rows": self._gather_rows(empty),
@@ -226,7 +241,7 @@ class ControllerCode:
                 for name, (point, column, size) in every
             ),
             "write_controls": "\n".join(
-                f"  memcpy(u_{name}, c->z + {point}, sizeof(double) * {size});" for name, (point, _, size) in every
+                f"  memcpy(u_{name}, c->z + {point}, sizeof(real) * {size});" for name, (point, _, size) in every
             ),
         }
 
@@ -271,6 +286,7 @@ class ControllerCode:
             "stage_inequalities": np.array(stages.inequalities, np.int32),
             "stage_equalities": np.array(stages.equalities, np.int32),
             "stage_points": np.array(stages.point_states or stages.states, np.int32),
+            "window_of": np.array(self._memory.windows, np.int32),
             "work_of": after(self._memory.work),
             "slopes_of": after(slopes.size for slopes in self._transcription.cost_slopes),
             "node_rows_of": np.array([phase.node_rows[0] if phase.node_rows[1] else 0 for phase in phases], np.int32),
@@ -301,15 +317,15 @@ class ControllerCode:
             pointer = _c(f"p_{name}")
             if places.ndim == 1:
                 first = int(places[0]) if places.size else 0
-                lines.append(f"  if ({pointer}) memcpy(c->data + {first}, {pointer}, sizeof(double) * {values.size});")
+                lines.append(f"  if ({pointer}) memcpy(c->data + {first}, {pointer}, sizeof(real) * {values.size});")
                 continue
             nodes, width = len(values), values[0].size
             (here, after), stride = places[0], int(places[1, 0] - places[0, 0])
             lines += [
                 f"  for (int k = 0; {pointer} && k < {nodes}; k++) {{",
-                f"    memcpy(c->data + {here} + {stride} * k, {pointer} + {width} * k, sizeof(double) * {width});",
+                f"    memcpy(c->data + {here} + {stride} * k, {pointer} + {width} * k, sizeof(real) * {width});",
                 f"    memcpy(c->data + {after} + {stride} * k, {pointer} + {width} * (k < {nodes - 1} ? k + 1 : k), "
-                f"sizeof(double) * {width});",
+                f"sizeof(real) * {width});",
                 "  }",
             ]
         return "\n".join(lines)
@@ -320,12 +336,13 @@ class ControllerCode:
         """The iterates of the Python controller, whose state is restored afterwards."""
         expected = rehearsed(self._controller, states)
         columns = {name: np.array([np.ravel(x[name]) for x in states], float) for name, _ in self._states}
-        data = [array(_c(f"measured_{name}"), values) for name, values in columns.items()]
+        data = [array(_c(f"measured_{name}"), values, self._real) for name, values in columns.items()]
         names = ("expected_z", "expected_lambda", "iterations", "statuses")
-        data += [array(name, values) for name, values in zip(names, expected)]
+        double = not self._precision.is_single
+        data += [array(n, values, self._real) for n, values in zip(names, expected) if n != "iterations" or double]
         sizes = {name: values.shape[1] for name, values in columns.items()}
         results = {name: size for name, (_, _, size) in zip(self._controls.shapes, self._controls.of_each)}
-        declared = " ".join(f"double {_c(f'u_{name}')}[{size}];" for name, size in results.items())
+        declared = " ".join(f"{self._real.name} {_c(f'u_{name}')}[{size}];" for name, size in results.items())
         arguments = [f"{_c(f'measured_{name}')} + {size} * k" for name, size in sizes.items()]
         arguments += [_c(f"u_{name}") for name in results]
         return {
@@ -334,6 +351,11 @@ class ControllerCode:
             **self._shift_texts(),
             "calls": len(states),
             "tolerance": f"{tolerance:.0e}",
+            "allowed": self._literal(tolerance),
+            "fabs": f"fabs{self._real.suffix}",
+            "iterations_differ": "report.iterations != iterations[k] || " if double else "",
+            "compared": "1" if double else "statuses[k] == 0",
+            "which": "" if double else _OF_SINGLE,
             "data": "\n".join(data),
             "call": f"{declared}\n    {self._name}_feedback(&controller, {', '.join(arguments)}, NULL, NULL, &report);",
         }
@@ -348,17 +370,20 @@ def _c(name: str) -> str:
 def write_controller(
     controller: Any,
     directory: str | Path,
-    *,
     name: str,
-    states: Sequence[Mapping[str, Any]] | None,
-    tolerance: float,
+    dtype: Any,
     memory: int,
+    *,
+    states: Sequence[Mapping[str, Any]] | None,
+    tolerance: float | None,
 ) -> CFiles:
     """Implements `Controller.to_c`, which documents the arguments."""
     check_name(name)
     whole("memory", memory, 0)
-    number("tolerance", tolerance, "a finite number that is not negative", lambda size: 0.0 <= size < np.inf)
-    folder, code = path_of("directory", directory), ControllerCode(controller, name, memory)
-    files, texts = code.files(folder, drawn_states(controller) if states is None else states, tolerance)
+    real = real_type(dtype)
+    allowed = _TOLERANCES[real.dtype.name] if tolerance is None else tolerance
+    number("tolerance", allowed, "a finite number that is not negative", lambda size: 0.0 <= size < np.inf)
+    folder, code = path_of("directory", directory), ControllerCode(controller, name, memory, real)
+    files, texts = code.files(folder, drawn_states(controller) if states is None else states, allowed)
     write_files(folder, texts)
     return files

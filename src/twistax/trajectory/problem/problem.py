@@ -336,13 +336,11 @@ class Problem:
             refine: refine the mesh until its error, as above, and the relative change of the objective between meshes
                 are at most this, such as 1e-6. The result is that of the last mesh, on `result.problem`;
                 `result.meshes` lists all meshes. The status is COARSE if a thousand nodes do not suffice.
-            strategies: the strategies in addition to one run of the interior-point method, members of `Strategy`;
-                an empty tuple means the method alone. Other solvers have their own strategies.
+            strategies: members of `Strategy` in addition to one run of the interior-point method; of this solver alone.
         Raises:
             ModelError, ShapeError, InputError: an invalid guess, end or parameter.
-            TrajectoryError: initial or final values that fix other entries; invalid times or numbers; limits of a
-                parameter that is not free, or on other sides; a warm start from another problem, or together with a
-                guess.
+            TrajectoryError: ends that fix other entries; invalid times or numbers; limits of a parameter that is not
+                free, or on other sides; a warm start from another problem, or together with a guess.
         """
         arguments = {name: value for name, value in locals().items() if name != "self"}
         return solved(self, SolveOptions(**arguments))
@@ -381,9 +379,11 @@ class Problem:
         """A model-predictive controller for this problem; see `Controller` for the options."""
         return Controller(self, warm, **options)
 
-    def to_c(self, directory: Any, *, name: str = "controller", warm: Any = None, **options: Any) -> Any:
-        """Write a controller for this problem as C99; see `Controller` for the options, and `Controller.to_c`."""
-        return self.controller(warm, **options).to_c(directory, name=name)
+    def to_c(
+        self, directory: Any, *, name: str = "controller", warm: Any = None, dtype: Any = np.float64, **options: Any
+    ) -> Any:
+        """Write a controller as C99 in float64 or float32; see `Controller` for the options, and `Controller.to_c`."""
+        return self.controller(warm, **options).to_c(directory, name=name, dtype=dtype)
 
     def core(self, tolerance: float, point: Iterate, instance: Instance) -> CoreSolver:
         """The solver for the current thread. Kernels compile once. The solver's memory serves one solve at a time."""
