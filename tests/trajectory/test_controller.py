@@ -1,6 +1,8 @@
 """Controllers: feedback is the solve from the measured state, plans move on by an interval, gains are derivatives."""
 
+import copy
 import functools
+import pickle
 import threading
 from typing import Any
 
@@ -378,3 +380,20 @@ def test_calls_inside_of_a_program_are_those_outside() -> None:
         jax.jit(lambda p: inside.feedback({"p": p}))(1.0)
     with pytest.raises(tx.ShapeError, match=r"x\['p'\] expects shape \(\), got \(2,\)"):
         jax.jit(lambda p: inside.feedback({"p": p, "v": 0.0}))(jnp.ones(2))
+
+
+@pytest.mark.parametrize("copied", [lambda c: pickle.loads(pickle.dumps(c)), copy.deepcopy], ids=["pickle", "deepcopy"])
+def test_a_copy_continues_from_the_same_plan(copied: Any) -> None:
+    controller = regulator().controller(max_iterations=3)
+    controller.prepare({"reference": 0.3, "weight": 0.2}, limits={"u": (-0.7, 0.6)})
+    controller.feedback({"p": 40.0, "v": 0.2})  # far away: the units are measured again
+    controller.shift()
+    again = copied(controller)
+    assert len(again.log) == 1
+    assert again.status is controller.status
+    for x in ({"p": 0.9, "v": 0.1}, {"p": 0.8, "v": 0.0}):
+        np.testing.assert_array_equal(again.feedback(x)["u"], controller.feedback(x)["u"])
+        np.testing.assert_array_equal(again.gains["u"], controller.gains["u"])
+        again.shift(), controller.shift()
+    controller.prepare({"weight": 1.0})
+    assert float(again.params["weight"]) == 0.2

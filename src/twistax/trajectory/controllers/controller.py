@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -57,8 +58,9 @@ class Controller:
     A continuous control is applied as its value at the first node, which the solver chooses anew in each call.
 
     A controller has its own memory, so different controllers may run in different threads; the solve itself does not
-    hold Python's lock. One controller serves one thread at a time. In `jax.jit` and `jax.lax.scan` the calls are host
-    callbacks in the order of the program, without derivatives.
+    hold Python's lock. One controller serves one thread at a time. A pickled or copied controller continues from the
+    same plan. In `jax.jit` and `jax.lax.scan` the calls are host
+    callbacks in the order of the program. For derivatives and `jax.vmap` use `tx.trajectory.solution`.
 
     Args:
         problem: with a fixed initial state, in the first phase if there are several.
@@ -113,6 +115,7 @@ class Controller:
             self.staged = staged = solver.staged
             self.largest_step = solver.largest_step
             units = solver.units(start.point, instance) if start.units is None else start.units
+            self._made = problem, dataclasses.replace(start, units=units), max_iterations, max_seconds, tolerance, log
             self._plan_units = PlanUnits(staged, units)
             options = solver.options(max_iterations) | {"warm_start": 1.0, "excess": 0.0}
             bounds = staged.limits(staged.coordinates(staged.flat(start.point)), instance)
@@ -126,6 +129,19 @@ class Controller:
         self.moves_on = None if why_not_shiftable(problem) else Shift(staged, self.part.continuous.rates)
         self._gains = Gains(self.prepared, staged, self.units)
         self.log, self.status = ControllerLog(log), Status.STOPPED
+
+    def __getstate__(self) -> dict[str, Any]:
+        plan = {"iterate": self.prepared.saved(), "units": self._plan_units.saved()}
+        return {"made": self._made, "data": self.data.saved(), "log": self.log, "status": self.status, **plan}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        names = ("problem", "warm", "max_iterations", "max_seconds", "tolerance", "log")
+        Controller.__init__(self, **dict(zip(names, state["made"], strict=True)))
+        self.prepared.load(state["iterate"])
+        self._plan_units.load(state["units"], self.prepared)
+        self.data.load(state["data"])
+        self._gains = Gains(self.prepared, self.staged, self.units)
+        self.log, self.status = state["log"], state["status"]
 
     def _load(self, start: Any) -> None:
         """Write a warm start into the memory of the solver."""

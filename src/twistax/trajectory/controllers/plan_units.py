@@ -65,6 +65,16 @@ class PlanUnits:
             solve.set_units(self.units)
         return self.are_new
 
+    def saved(self) -> tuple[StartUnits, bool]:
+        """What `load` continues from."""
+        return self._measured, self.are_new
+
+    def load(self, saved: tuple[StartUnits, bool], solve: PreparedSolve) -> None:
+        """Continue with the units of another controller of this problem."""
+        self._measured, self.are_new = saved
+        self.units = _for_core(self._measured)
+        solve.set_units(self.units)
+
     @contextlib.contextmanager
     def constant(self) -> Iterator[None]:
         """A context in which the units are constant, as in C code."""

@@ -44,6 +44,15 @@ class PreparedData:
         self.params, self.numbers = dict(instance.params), np.array(staged.numbers.vector(instance))
         staged.transcription.set_data(self.numbers)
 
+    def saved(self) -> tuple[dict[str, Array], Array]:
+        """What `load` continues from."""
+        return dict(self.params), self.numbers.copy()
+
+    def load(self, saved: tuple[dict[str, Array], Array]) -> None:
+        """Continue with the data of another controller of this problem."""
+        self.params, self.numbers[:] = saved
+        self._staged.transcription.set_data(self.numbers)
+
     def set_numbers(self, params: Any, final: Any, final_time: Any) -> None:
         """Set parameters, final states and durations; None keeps the present ones."""
         if params is not None:
