@@ -109,7 +109,7 @@ class Pair:
             return functools.partial(cylinder_to_cylinder, self.a, self.b)
         if isinstance(self.a, Cylinder):
             return functools.partial(cylinder_to_core, self.a, Core.of(self.b))
-        return functools.partial(distance, Core.of(self.a), Core.of(self.b))
+        return distance(Core.of(self.a), Core.of(self.b))
 
     def _reach(self, n: Expr) -> Expr:
         """The extent of a along -n, a unit vector in its frame."""
