@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar
-
-import jax
+from typing import TypeVar
 
 from ...scalar.backends import XLA
 from ...scalar.kernel_function import KernelFunction
@@ -20,5 +18,4 @@ def search(function: Callable[..., R]) -> Callable[..., R]:
 
     It is pure; `while` loops in it end for all arguments.
     """
-    kernel = KernelFunction[R](function, Native() if installed() else XLA(), of_matrices=True)
-    return lambda *arguments: kernel(*map(jax.lax.stop_gradient, arguments))
+    return KernelFunction(function, Native() if installed() else XLA(), of_matrices=True, constant=True)

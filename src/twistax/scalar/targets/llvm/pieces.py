@@ -61,7 +61,7 @@ class Scratch:
         place = dict.fromkeys(parts[0], 0)
         for i in program.live:
             call = g.call_of(i)
-            if call is not None and call.first == [i]:
+            if call is not None and call.kernel is None and call.first == [i]:
                 self.products[len(parts)] = call
                 place.update(dict.fromkeys(flat(*call.results), len(parts)))
                 parts += [[], []]
@@ -98,9 +98,8 @@ class Scratch:
         for number, part in enumerate(parts):
             for width, slot in ending.pop(number - 1, []):
                 free.setdefault(width, []).append(slot)
-            leaving = (
-                (i,) for i in part if i not in self.slots and g.operation(i) is not None and last.get(i, 0) > number
-            )
+            computed = (i for i in part if g.operation(i) is not None or g.kernel_of(i) is not None)
+            leaving = ((i,) for i in computed if i not in self.slots and last.get(i, 0) > number)
             for row in (*rows.get(number, []), *leaving):
                 slots = free.setdefault(len(row), [])
                 if not slots:
@@ -203,7 +202,7 @@ class PieceValues(dict[int, str]):
 
     def __setitem__(self, node: int, value: str) -> None:
         super().__setitem__(node, value)
-        if self._graph.operation(node) is not None:
+        if self._graph.operation(node) is not None or self._graph.call_of(node) is not None:
             if node in self._scratch.slots:
                 self._store(node)
             self.used(self._graph.arguments(node))

@@ -84,6 +84,12 @@ class StepKernels(StepCompiler):
         closed = pure(function, shapes, MOST_STORED) if installed() else None
         return None if closed is None else self.runner.arrays(closed, self.scalars.checked, terminates)
 
+    def constant(self, function: Step, shapes: Shapes) -> KernelOfArrays | None:
+        program = self.of_matrices(function, shapes, True)
+        if program is not None:
+            program.inside_kernels = self.runner.called_loops(program.program, self.scalars.checked)
+        return program
+
     def shared(self, function: Step, shapes: Shapes) -> Derived | None:
         program = self._whole_step(function, shapes)
         return None if program is None else Derived(program, None, dataclasses.replace(self.runner, least=0))

@@ -156,6 +156,25 @@ class ArrayBody(KernelBody):
         return [np.asarray(r).reshape(count, -1) for r in self._by_jax[count](*shaped)]
 
 
+class CalledLoops:
+    """A function of matrices that kernels of scalar programs call, for one member at a time."""
+
+    def __init__(self, form: ArrayForm) -> None:
+        self._body = ArrayBody(form, 1)
+
+    def text(self, module: Module, name: str) -> str:
+        """The function in LLVM's language, of the addresses of all arguments and results."""
+        code, body = Code(module, 1), self._body
+        every = {f"a{k}": array for k, array in enumerate(body.arguments)}
+        every |= {f"r{k}": array for k, array in enumerate(body.results)}
+        body.body(code, {key: Rows(code, array, [f"%{key}"]) for key, array in every.items()})
+        return code.function(f"internal void @{name}({', '.join(f'ptr noalias %{key}' for key in every)})")
+
+    def plain(self, arguments: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
+        """All results by JAX, for rows of arguments."""
+        return self._body.plain(arguments)
+
+
 class _Writer(MatrixWriter):
     """Writes the equations of a function, arrays in memory and what is small as scalars."""
 
