@@ -144,6 +144,30 @@ class Core:
         turn = np.sum(d * np.cross(self.sides[:, 1], self.sides[:, 0]), axis=1)
         return np.asarray(d * np.where(turn < 0.0, -1.0, 1.0)[:, None])
 
+    @functools.cached_property
+    def face_normals(self) -> NDArray[np.float64]:
+        """The outward normals (f, 3) of the triangles."""
+        corner, u, v = self.faces[:, 0], *(self.faces[:, k] - self.faces[:, 0] for k in (1, 2))
+        n = np.cross(u, v)
+        # Corners of triangles are in any order: outward is away from the mean of all.
+        n = n * np.sign(np.sum(n * (corner - self.corners.mean(axis=0)), axis=1))[:, None]
+        return np.asarray(n / np.linalg.norm(n, axis=1)[:, None])
+
+    @functools.cached_property
+    def face_offsets(self) -> NDArray[np.float64]:
+        """(f,) with $n . p = offset$ on each triangle."""
+        return np.asarray(np.sum(self.face_normals * self.faces[:, 0], axis=1))
+
+    @functools.cached_property
+    def face_duals(self) -> NDArray[np.float64]:
+        """Vectors (f, 2, 3) whose products with p - c_0 are s and t of p = c_0 + s (c_1 - c_0) + t (c_2 - c_0), for
+        the corners c of each triangle.
+        """
+        u, v = (self.faces[:, k] - self.faces[:, 0] for k in (1, 2))
+        n = np.cross(u, v)
+        size = np.sum(n**2, axis=1)[:, None]
+        return np.stack([np.cross(v, n) / size, np.cross(n, u) / size], axis=1)
+
     @classmethod
     def of(cls, solid: Rounded | ConvexPolytope) -> Core:
         """The core of a box, a capsule, a ball or a polytope."""
@@ -210,32 +234,6 @@ def root(square: jax.Array) -> jax.Array:
     """The square root, with a derivative of zero at zero."""
     positive = square > 0.0
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0)
-
-
-#: By which triangles overlap, relative to their sides.
-_SEAM = 1e-13
-FAR = 1e12
-
-
-def within_triangles(points: jax.Array, faces: jax.Array) -> jax.Array:
-    """Whether points (..., f, 3) project into triangles (f, 3, 3), or by rounding beside them."""
-    corner, u, v = faces[:, 0], faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0]
-    n, corner, u, v = (jnp.broadcast_to(x, points.shape) for x in (jnp.cross(u, v), corner, u, v))
-    size, w = jnp.sum(n**2, axis=-1), points - corner
-    s = jnp.sum(jnp.cross(w, v) * n, axis=-1) / size
-    t = jnp.sum(jnp.cross(u, w) * n, axis=-1) / size
-    # Two triangles of one face leave no gap on the line between them.
-    return (s >= -_SEAM) & (t >= -_SEAM) & (s + t <= 1.0 + _SEAM)
-
-
-def directions(edges: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The unit vectors (k, 3) of edges, each direction once."""
-    kept: list[Any] = []
-    for start, end in edges:
-        unit = (end - start) / np.linalg.norm(end - start)
-        if not any(min(np.abs(unit - d).max(), np.abs(unit + d).max()) < _SMALL for d in kept):
-            kept.append(unit)
-    return np.array(kept).reshape(-1, 3)
 
 
 def _hull(points: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -106,9 +106,9 @@ class Pair:
     def of_arrays(self) -> Callable[[Any], Any]:
         """The signed distance () of two bounded solids as a function of an array T (4, 4)."""
         if isinstance(self.a, Cylinder) and isinstance(self.b, Cylinder):
-            return functools.partial(cylinder_to_cylinder, self.a, self.b)
+            return cylinder_to_cylinder(self.a, self.b)
         if isinstance(self.a, Cylinder):
-            return functools.partial(cylinder_to_core, self.a, Core.of(self.b))
+            return cylinder_to_core(self.a, Core.of(self.b))
         return distance(Core.of(self.a), Core.of(self.b))
 
     def _reach(self, n: Expr) -> Expr:
