@@ -45,20 +45,20 @@ def sign_change(function: Callable[[jax.Array], jax.Array], low: jax.Array, high
     length = jnp.abs(high - low)
 
     def step(now: Any) -> Any:
-        (a, of_a), (b, of_b), k = now
+        (a, of_a), (b, of_b), k, phase = now
         # Every third step halves the interval, in which a kink may be.
-        s = jnp.where(k % 3 == 2, 0.5 * (a + b), (a * of_b - b * of_a) / jnp.where(of_b == of_a, 1.0, of_b - of_a))
+        s = jnp.where(phase == 2, 0.5 * (a + b), (a * of_b - b * of_a) / jnp.where(of_b == of_a, 1.0, of_b - of_a))
         s = jnp.where((s - a) * (s - b) < 0.0, s, 0.5 * (a + b))
         value = function(s)
         changes = value * of_b < 0.0
         a, of_a = jnp.where(changes, b, a), jnp.where(changes, of_b, 0.5 * of_a)
-        return (a, of_a), (s, value), k + 1
+        return (a, of_a), (s, value), k + 1, jnp.where(phase == 2, 0, phase + 1)
 
     def goes_on(now: Any) -> jax.Array:
-        (a, _), (b, value), k = now
+        (a, _), (b, value), k, _ = now
         return (k < _MOST) & (jnp.abs(a - b) > _EXACT * length) & (value != 0.0)
 
-    start = (low, function(low)), (high, function(high)), jnp.asarray(0)
+    start = (low, function(low)), (high, function(high)), jnp.asarray(0), jnp.asarray(0)
     return jax.lax.while_loop(goes_on, step, start)[1][0]
 
 

@@ -1,4 +1,4 @@
-"""Searches for the nearest features of solids, as kernels."""
+"""Distances as kernels: searches for the nearest features, and the formulas for these."""
 
 from __future__ import annotations
 
@@ -18,4 +18,13 @@ def search(function: Callable[..., R]) -> Callable[..., R]:
 
     It is pure; `while` loops in it end for all arguments.
     """
-    return KernelFunction(function, Native() if installed() else XLA(), of_matrices=True, constant=True)
+    return KernelFunction(function, _backend(), of_matrices=True, constant=True)
+
+
+def formula(function: Callable[..., R]) -> Callable[..., R]:
+    """A pure function of small arrays as a kernel, with kernels for its derivatives; it may contain searches."""
+    return KernelFunction(function, _backend())
+
+
+def _backend() -> Native | XLA:
+    return Native() if installed() else XLA()

@@ -189,7 +189,8 @@ _CONTROL = [
         "batched_function",
         _function,
         "program batch inside",
-        inside=lambda eqn: not eqn.params["batch"].depth and eqn.params["program"].inside_kernels is None,
+        # A kernel is no part of a small function.
+        inside=lambda eqn: not eqn.params["batch"].depth and not eqn.params["program"].exports_kernels,
         repeats=_members,
     ),
 ]

@@ -11,7 +11,7 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from .....jax_inside import ClosedJaxpr, Literal, all_equations, jaxpr_as_fun, part, quick_compile
+from .....jax_inside import ClosedJaxpr, Literal, all_equations, inner_jaxprs, jaxpr_as_fun, part, quick_compile
 from ....graph import TooLarge
 from ....parts.inlining import inlined
 from ....parts.part import Constants
@@ -326,4 +326,7 @@ def _is_small(eqn: Any) -> bool:
     entry = entry_of(eqn)
     if entry is None or (entry.read is None and not hasattr(entry, "number")):
         return False
-    return all(v.aval.size <= _SMALL for v in (*eqn.invars, *eqn.outvars)) and eqn.primitive.name not in _LOOPS
+    inside = (one for body in inner_jaxprs(eqn) for one in all_equations(body.jaxpr))
+    if any(one.primitive.name in _LOOPS for one in (eqn, *inside)):
+        return False
+    return all(v.aval.size <= _SMALL for v in (*eqn.invars, *eqn.outvars))
