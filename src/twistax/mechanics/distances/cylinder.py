@@ -12,18 +12,16 @@ Newton's method gives the point on an edge or the direction at a rim its derivat
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from ...expr import Abs, Expr, Norm
 from ...view import Cylinder
-from .cylinder_search import nearest_feature, reach
+from .cylinder_search import Feature, nearest_feature, reach
 from .polytope import Core, root
 from .rim import turned, unit
-from .search import search
+from .search import Distance, searched
 
 #: A step of Newton's method along an edge that is longer is at a kink; so is a curvature below this.
 _KINK = 1e-6
@@ -34,17 +32,14 @@ def over_plane(cylinder: Cylinder, n: Expr) -> Expr:
     return 0.5 * float(cylinder.length) * Abs(n[2]) + float(cylinder.radius) * Norm(n[:2])
 
 
-def cylinder_to_core(cylinder: Cylinder, core: Core) -> Callable[[Any], jax.Array]:
+def cylinder_to_core(cylinder: Cylinder, core: Core) -> Distance:
     """The signed distance () as a function of the pose T (4, 4) of a core in the frame of a cylinder."""
     radius, height = float(cylinder.radius), 0.5 * float(cylinder.length)
     if not len(core.edges):
         return lambda T: _to_point(radius, height, jnp.asarray(T)[:3, 3]) - core.radius
-    nearest = search(functools.partial(nearest_feature, radius, height, core))
 
-    def function(T: Any) -> jax.Array:
-        T = jnp.asarray(T)
+    def formula(T: jax.Array, feature: Feature) -> jax.Array:
         R, z = T[:3, :3], jnp.asarray([0.0, 0.0, 1.0], T.dtype)
-        feature = nearest(T)
         corner, e = R @ feature.corner + T[:3, 3], R @ feature.edge
         upward = jnp.where(feature.n[2] < 0.0, -1.0, 1.0).astype(T.dtype)
         across = jnp.stack([e[1], -e[0], jnp.zeros_like(e[0])])
@@ -60,7 +55,7 @@ def cylinder_to_core(cylinder: Cylinder, core: Core) -> Callable[[Any], jax.Arra
         gap = n @ corner - reach(radius, height, n[None])[0]
         return jnp.where(feature.kind[0] > 0.5, _along(radius, height, corner, e), gap) - core.radius
 
-    return function
+    return searched(functools.partial(nearest_feature, radius, height, core), formula)
 
 
 def _along(radius: float, height: float, point: jax.Array, axis: jax.Array) -> jax.Array:

@@ -13,7 +13,6 @@ other one is a function of one angle, whose least values are searched in 32 inte
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -24,7 +23,7 @@ from ...view import Cylinder
 from .cylinder_search import best_of, reach
 from .polytope import root
 from .rim import RimIntervals, rim_intervals, rim_normal, sign_change, turned, unit
-from .search import search
+from .search import Distance, searched
 
 #: Intervals of a rim.
 _INTERVALS = 32
@@ -69,7 +68,7 @@ class _Cylinders:
         return unit(jnp.cross(self.z, self.y), self.z)
 
 
-def cylinder_to_cylinder(a: Cylinder, b: Cylinder) -> Callable[[Any], jax.Array]:
+def cylinder_to_cylinder(a: Cylinder, b: Cylinder) -> Distance:
     """The signed distance () as a function of the pose T (4, 4) of b in the frame of a, whose radius is not larger."""
 
     def placed(T: jax.Array) -> _Cylinders:
@@ -77,11 +76,8 @@ def cylinder_to_cylinder(a: Cylinder, b: Cylinder) -> Callable[[Any], jax.Array]
         z = jnp.asarray([0.0, 0.0, 1.0], T.dtype)
         return _Cylinders(float(a.radius), float(b.radius), *halves, z, T[:3, 2], T[:3, 3])
 
-    nearest = search(lambda T: _best(placed(T))[1:])
-
-    def function(T: Any) -> jax.Array:
-        T = jnp.asarray(T)
-        pair, (near, kind) = placed(T), nearest(T)
+    def formula(T: jax.Array, best: _Direction) -> jax.Array:
+        pair, near, kind = placed(T), best.n, best.kind
         y, z, p = pair.y, pair.z, pair.p
         up, along = (jnp.where(axis @ near < 0.0, -1.0, 1.0) for axis in (z, jax.lax.stop_gradient(y)))
         of_first, of_second = p - up * pair.h * z, p - along * pair.k * y
@@ -98,7 +94,7 @@ def cylinder_to_cylinder(a: Cylinder, b: Cylinder) -> Callable[[Any], jax.Array]
         weights = (jnp.arange(len(directions)) == kind).astype(T.dtype)
         return pair.gap((weights @ jnp.stack(directions))[None])[0]
 
-    return function
+    return searched(lambda T: _best(placed(T)), formula)
 
 
 def _best(pair: _Cylinders) -> _Direction:

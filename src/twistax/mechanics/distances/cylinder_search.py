@@ -137,8 +137,10 @@ def _apart(placed: _Placed) -> _Candidate:
     if not len(placed.core.edges):
         return best
     e = placed.edges
-    start, end = (jnp.where((jnp.sum((placed.ends - placed.starts) * e, axis=1) > 0.0)[:, None], *both) for both in (
-        (placed.starts, placed.ends), (placed.ends, placed.starts)))
+    start, end = (
+        jnp.where((jnp.sum((placed.ends - placed.starts) * e, axis=1) > 0.0)[:, None], *both)
+        for both in ((placed.starts, placed.ends), (placed.ends, placed.starts))
+    )
     (d_0, g_0), (d_1, g_1) = to_points(radius, height, start), to_points(radius, height, end)
     s_0, s_1 = jnp.sum(g_0 * e, axis=1), jnp.sum(g_1 * e, axis=1)
     length = jnp.sum((end - start) * e, axis=1)
@@ -239,7 +241,10 @@ def _across_edges(placed: _Placed) -> _Candidate:
     square = jnp.sum(n * n, axis=1)
     long = square > 1e-18
     towards = placed.starts if sides is None else sides[0] + sides[1]
-    n = jnp.where((jnp.sum(n * towards, axis=1) < 0.0)[:, None], -n, n) / jnp.sqrt(jnp.where(long, square, 1.0))[:, None]
+    n = (
+        jnp.where((jnp.sum(n * towards, axis=1) < 0.0)[:, None], -n, n)
+        / jnp.sqrt(jnp.where(long, square, 1.0))[:, None]
+    )
     gaps = jnp.sum(n * placed.starts, axis=1) - placed.radius
     within = long if sides is None else long & (sides[0][:, 2] * sides[1][:, 2] <= 0.0)
     gaps = jnp.where(within, gaps, -_FAR)
@@ -259,7 +264,7 @@ def _at_rims(placed: _Placed, best: _Candidate) -> _Candidate:
 
             def searched() -> _Candidate:
                 n = rim_normal(RimIntervals(*interval))
-                gap = n @ q - radius * root(n[0] ** 2 + n[1] ** 2)  # noqa: B023
+                gap = n @ q - radius * root(n[0] ** 2 + n[1] ** 2)
                 return best_of([best, placed.candidate(gap, 5, n, corner=start, edge=e)], jnp.greater)
 
             return jax.lax.cond(interval[-1], searched, lambda: best), None

@@ -12,8 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -25,7 +24,7 @@ from ...errors import InputError
 from ...view import Mesh
 from ..arguments import pose
 from .gjk import nearest_features
-from .search import search
+from .search import Distance, searched
 from .separating_axes import least_depth
 from .solids import Rounded
 
@@ -114,7 +113,10 @@ class Core:
     @classmethod
     def point(cls, p: NDArray[np.float64], at: Any = None, radius: float = 0.0) -> Core:
         """A point."""
-        at, vectors, pairs, triangles = np.eye(4) if at is None else at, *(np.zeros((0, *n, 3)) for n in ((), (2,), (3,)))
+        at, vectors, pairs, triangles = (
+            np.eye(4) if at is None else at,
+            *(np.zeros((0, *n, 3)) for n in ((), (2,), (3,))),
+        )
         return cls(at, p[None], pairs, pairs, triangles, vectors, np.zeros(0), triangles, radius)
 
     @classmethod
@@ -181,7 +183,7 @@ class Core:
         return dataclasses.replace(point, corners=ends, edges=ends[None], sides=0.0 * ends[None]) if count else point
 
 
-def distance(a: Core, b: Core) -> Callable[[Any], jax.Array]:
+def distance(a: Core, b: Core) -> Distance:
     """The signed distance () of the core b from the core a, as a function of the pose T (4, 4) of b in the frame of a.
 
     One of them has faces.
@@ -189,20 +191,20 @@ def distance(a: Core, b: Core) -> Callable[[Any], jax.Array]:
     if not len(a.normals):
         of_inverse = distance(b, a)
         return lambda T: of_inverse(_inverse(jnp.asarray(T)))
-    nearest = search(functools.partial(_features, a, b))
 
-    def function(T: Any) -> jax.Array:
-        T = jnp.asarray(T)
-        of_a, of_b, is_line, side = nearest(T)
+    def formula(T: jax.Array, features: _Features) -> jax.Array:
+        of_a, of_b, is_line, side = features
         w = of_a - (of_b @ T[:3, :3].T + T[None, :3, 3])
         e, f = w[1] - w[0], w[2] - w[0]
         n = jnp.cross(e, f)
         plane = jnp.where(side == 0.0, 1.0, n @ n)
         line = jnp.where(is_line, e @ e, 1.0)
         to_line = w[0] - jnp.where(is_line, (w[0] @ e) / line, 0.0) * e
-        return jnp.where(side == 0.0, root(to_line @ to_line), side * (n @ w[0]) / jnp.sqrt(plane)) - (a.radius + b.radius)
+        return jnp.where(side == 0.0, root(to_line @ to_line), side * (n @ w[0]) / jnp.sqrt(plane)) - (
+            a.radius + b.radius
+        )
 
-    return function
+    return searched(functools.partial(_features, a, b), formula)
 
 
 def _inverse(T: jax.Array) -> jax.Array:
@@ -210,14 +212,22 @@ def _inverse(T: jax.Array) -> jax.Array:
     return jnp.concatenate([jnp.concatenate([R.T, -(p @ R)[:, None]], axis=1), T[3:]])
 
 
-def _features(a: Core, b: Core, T: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+class _Features(NamedTuple):
     """The nearest features of two cores.
 
-    Returns:
-        Corners (3, 3) of a, corners (3, 3) of b in its frame; whether the nearest point of the Minkowski difference is on
-        the line through the first two differences; and for a point on the plane of all three on which side of it the
-        origin is, -1 or 1, else 0.
+    Attributes:
+        a, b: corners (3, 3) of both, each in its frame.
+        is_line: whether the nearest point of the Minkowski difference is on the line through the first two differences.
+        side: of a point on the plane of all three, the side on which the origin is, -1 or 1; else 0.
     """
+
+    a: jax.Array
+    b: jax.Array
+    is_line: jax.Array
+    side: jax.Array
+
+
+def _features(a: Core, b: Core, T: jax.Array) -> _Features:
     R, p = T[:3, :3], T[:3, 3]
     size = float(np.abs(a.corners).max() + np.abs(b.corners).max())
     points = jnp.asarray(a.corners, T.dtype), jnp.asarray(b.corners, T.dtype) @ R.T + p[None]
@@ -227,7 +237,7 @@ def _features(a: Core, b: Core, T: jax.Array) -> tuple[jax.Array, jax.Array, jax
     w = contact.a - contact.b
     normal = jnp.cross(w[1] - w[0], w[2] - w[0])
     side = jnp.where(count == 3, jnp.where(normal @ contact.n > 0.0, -1.0, 1.0), 0.0).astype(T.dtype)
-    return contact.a, (contact.b - p[None]) @ R, count == 2, side
+    return _Features(contact.a, (contact.b - p[None]) @ R, count == 2, side)
 
 
 def root(square: jax.Array) -> jax.Array:

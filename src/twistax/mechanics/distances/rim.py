@@ -119,7 +119,9 @@ def rim_intervals(
         within = within & (begins | holds_first) & (stops | holds_last)
         low, high = jnp.where(begins[:, None], low, first), jnp.where(stops[:, None], high, last)
     slopes = _slope(low, q_u, q_w, b), _slope(high, q_u, q_w, b)
-    return RimIntervals(u, w, low, high, b, jnp.stack([q_u, q_w], axis=1), within & (slopes[0] > 0.0) & (slopes[1] < 0.0))
+    return RimIntervals(
+        u, w, low, high, b, jnp.stack([q_u, q_w], axis=1), within & (slopes[0] > 0.0) & (slopes[1] < 0.0)
+    )
 
 
 def rim_normal(one: RimIntervals) -> jax.Array:

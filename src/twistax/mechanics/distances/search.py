@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Any, TypeAlias, TypeVar
+
+import jax
+import jax.numpy as jnp
 
 from ...scalar.backends import XLA
 from ...scalar.kernel_function import KernelFunction
@@ -12,19 +15,22 @@ from ...scalar.targets.llvm.machine_code import installed
 
 R = TypeVar("R")
 
+#: The distance () for a pose (4, 4).
+Distance: TypeAlias = Callable[[Any], jax.Array]
 
-def search(function: Callable[..., R]) -> Callable[..., R]:
-    """A function of arrays as a kernel without derivatives: its results count as constants.
 
-    It is pure; `while` loops in it end for all arguments.
+def searched(search: Callable[[jax.Array], R], formula: Callable[[jax.Array, R], jax.Array]) -> Distance:
+    """The distance () as a function of a pose T (4, 4): a formula of T and of the features that a search finds.
+
+    Both are kernels, for arrays of NumPy or JAX. The features count as constants, so that derivatives are those of the
+    formula. Both functions are pure; `while` loops in the search end for all arguments.
     """
-    return KernelFunction(function, _backend(), of_matrices=True, constant=True)
+    backend = Native() if installed() else XLA()
+    features = KernelFunction(search, backend, of_matrices=True, constant=True)
+    value = KernelFunction(formula, backend)
 
+    def distance(T: Any) -> jax.Array:
+        T = jnp.asarray(T)
+        return value(T, features(T))
 
-def formula(function: Callable[..., R]) -> Callable[..., R]:
-    """A pure function of small arrays as a kernel, with kernels for its derivatives; it may contain searches."""
-    return KernelFunction(function, _backend())
-
-
-def _backend() -> Native | XLA:
-    return Native() if installed() else XLA()
+    return distance

@@ -47,7 +47,9 @@ def _of_lanes(module: Module, lanes: int, call: OpaqueCall, kinds: Sequence[str]
     arrays = [Array(a.shape, np.dtype(v.aval.dtype)) for a, v in _arrays(call)]
     memory = [code.emit(f"alloca [{array.size} x {array.stored}], align 64") for array in arrays]
     names = [f"%x{k}" for k in range(len(kinds))]
-    places = [(array, f"{pointer}", k) for array, pointer in zip(arrays, memory, strict=True) for k in range(array.size)]
+    places = [
+        (array, f"{pointer}", k) for array, pointer in zip(arrays, memory, strict=True) for k in range(array.size)
+    ]
     vectors = ["poison"] * len(results)
     for lane in range(lanes):
         for value, (array, pointer, k) in zip(names, places[: len(names)], strict=True):
@@ -84,4 +86,6 @@ def results_by_numpy(call: OpaqueCall, values: dict[int, NDArray[Any]]) -> dict[
         columns = [np.broadcast_to(values[i], (rows,)).astype(v.aval.dtype) for i in flat(array)]
         arguments.append(np.stack(columns, axis=1))
     results = call.kernel.plain(arguments)
-    return {i: result[:, k] for array, result in zip(call.results, results, strict=True) for k, i in enumerate(flat(array))}
+    return {
+        i: result[:, k] for array, result in zip(call.results, results, strict=True) for k, i in enumerate(flat(array))
+    }
