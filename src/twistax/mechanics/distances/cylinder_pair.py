@@ -42,8 +42,8 @@ class _Direction(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class _Cylinders:
-    """Two cylinders, the first one in its frame, with radii r and s, half lengths h and k, the axis y and the centre p of
-    the second one.
+    """Two cylinders, the first one in its frame, with radii r and s and half lengths h and k; the second one has the
+    axis y and the centre p.
     """
 
     r: float
@@ -144,8 +144,8 @@ def _at_rims(pair: _Cylinders, q: jax.Array, best: _Direction) -> _Direction:
     circle = jnp.asarray(np.stack([np.cos(angles), np.sin(angles)], axis=1), q.dtype)
 
     def at(c: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Points (k, 3) of the first rim and its tangents, from (k, 2) cosines and sines; the directions (k, 3) from the
-        centre of the second rim to them.
+        """Points (k, 3) of the first rim and its tangents, from (k, 2) cosines and sines; the directions (k, 3) to them
+        from the centre of the second rim.
         """
         zero = jnp.zeros_like(c[:, 0])
         x, tangent = jnp.stack([r * c[:, 0], r * c[:, 1], zero], axis=1), jnp.stack([-c[:, 1], c[:, 0], zero], axis=1)

@@ -1,8 +1,8 @@
 """The search for the nearest features of a solid cylinder and a ball, a capsule, a box or a polytope.
 
-Outside, the distance to the cylinder is a convex function on the other solid. Its least value is at a corner, on an edge
-along which it falls from both ends, or above a face at the support point of the cylinder. Tangents at both ends bound
-it on an edge from below, so that most edges are left out. Inside, the gap is greatest in a direction that is normal to
+Outside, the distance to the cylinder is a convex function on the other solid. Its least value is at a corner, on an
+edge along which it falls from both ends, or above a face at the support point of the cylinder. Tangents at both ends
+bound it on an edge from below, so that most edges are left out. Inside, the gap is greatest in a direction that is normal to
 a smooth part of the boundary of the Minkowski difference; a direction across an edge is one only on the arc between the
 normals of both faces (Gauss map).
 """

@@ -95,8 +95,8 @@ class Core:
         edges: (e, 2, 3): both ends of each.
         sides: (e, 2, 3): the outward normals of the two faces that meet there; zero if there are none.
         faces: (f, 3, 3): corners of triangles.
-        normals, offsets, planes: outward normals (g, 3) of faces, each direction once; (g,) with $n . p = offset$ on the
-            face; (g, 3, 3) the corners of one of its triangles.
+        normals, offsets, planes: outward normals (g, 3) of faces, each direction once; (g,) with $n . p = offset$ on
+            the face; (g, 3, 3) the corners of one of its triangles.
         radius: m.
     """
 

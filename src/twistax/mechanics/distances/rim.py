@@ -95,11 +95,15 @@ def rim_intervals(
         sides: (k, 3) the unit vectors between which n is; None: anywhere across the edge.
         z: (3,) the axis.
     """
-    other = jnp.broadcast_to(jnp.asarray([[1.0, 0.0, 0.0]], e.dtype), e.shape)
-    u = unit(jnp.cross(e, jnp.broadcast_to(z[None], e.shape)), other)
+    # Across an edge along z the ellipse is a circle: any axis is a major one, and the half is that of q.
+    third = (jnp.abs(e[:, 2:]) < 0.9).astype(e.dtype)
+    other = jnp.cross(e, jnp.concatenate([1.0 - third, jnp.zeros_like(third), third], axis=1))
+    of_z = jnp.cross(e, jnp.broadcast_to(z[None], e.shape))
+    is_circle = jnp.sum(of_z * of_z, axis=1) <= _SMALL**2
+    u = unit(of_z, unit(other, z))
     w = jnp.cross(e, u)
-    upward = jnp.where(w @ z < 0.0, -1.0, 1.0).astype(e.dtype)
-    w, b = w * upward[:, None], jnp.abs(e @ z)
+    upward = jnp.where(jnp.where(is_circle, jnp.sum(q * w, axis=1), w @ z) < 0.0, -1.0, 1.0).astype(e.dtype)
+    w, b = w * upward[:, None], jnp.where(is_circle, 1.0, jnp.abs(e @ z))
     q_u, q_w = jnp.sum(q * u, axis=1) / radius, jnp.sum(q * w, axis=1) / radius
     turn = jnp.where(q_u < 0.0, -1.0, 1.0).astype(e.dtype)
     u, q_u = u * turn[:, None], jnp.abs(q_u)
@@ -108,7 +112,7 @@ def rim_intervals(
     right = jnp.broadcast_to(jnp.asarray([[1.0, 0.0]], e.dtype), least.shape)
     low = _unit(least, right)
     high = jnp.broadcast_to(jnp.asarray([[0.0, 1.0]], e.dtype), low.shape)
-    within = b < 1.0 - _SMALL**2
+    within = b >= 0.0
     if sides is not None:
         ends = [jnp.stack([jnp.sum(n * u, axis=1), jnp.sum(n * w, axis=1)], axis=1) for n in sides]
         swap = (_cross(*ends) < 0.0)[:, None]
@@ -118,10 +122,8 @@ def rim_intervals(
         holds_first, holds_last = _between(low, first, high), _between(low, last, high)
         within = within & (begins | holds_first) & (stops | holds_last)
         low, high = jnp.where(begins[:, None], low, first), jnp.where(stops[:, None], high, last)
-    slopes = _slope(low, q_u, q_w, b), _slope(high, q_u, q_w, b)
-    return RimIntervals(
-        u, w, low, high, b, jnp.stack([q_u, q_w], axis=1), within & (slopes[0] > 0.0) & (slopes[1] < 0.0)
-    )
+    inside = within & (_slope(low, q_u, q_w, b) >= 0.0) & (_slope(high, q_u, q_w, b) <= 0.0)
+    return RimIntervals(u, w, low, high, b, jnp.stack([q_u, q_w], axis=1), inside)
 
 
 def rim_normal(one: RimIntervals) -> jax.Array:
