@@ -12,16 +12,19 @@ Newton's method gives the point on an edge or the direction at a rim its derivat
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 from ...expr import Abs, Expr, Norm
+from ...scalar.fast import searched
 from ...view import Cylinder
 from .cylinder_search import Feature, nearest_feature, reach
-from .polytope import Core, root
+from .polytope import root
 from .rim import turned, unit
-from .search import Distance, searched
+from .solids import Core
 
 #: A step of Newton's method along an edge that is longer is at a kink; so is a curvature below this.
 _KINK = 1e-6
@@ -32,7 +35,7 @@ def over_plane(cylinder: Cylinder, n: Expr) -> Expr:
     return 0.5 * float(cylinder.length) * Abs(n[2]) + float(cylinder.radius) * Norm(n[:2])
 
 
-def cylinder_to_core(cylinder: Cylinder, core: Core) -> Distance:
+def cylinder_to_core(cylinder: Cylinder, core: Core) -> Callable[[Any], jax.Array]:
     """The signed distance () as a function of the pose T (4, 4) of a core in the frame of a cylinder."""
     radius, height = float(cylinder.radius), 0.5 * float(cylinder.length)
     if not len(core.edges):

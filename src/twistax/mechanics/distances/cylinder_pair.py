@@ -13,17 +13,18 @@ other one is a function of one angle, whose least values are searched in 32 inte
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ...scalar.fast import searched
 from ...view import Cylinder
 from .cylinder_search import best_of, reach
 from .polytope import root
 from .rim import RimIntervals, rim_intervals, rim_normal, sign_change, turned, unit
-from .search import Distance, searched
 
 #: Intervals of a rim.
 _INTERVALS = 32
@@ -68,7 +69,7 @@ class _Cylinders:
         return unit(jnp.cross(self.z, self.y), self.z)
 
 
-def cylinder_to_cylinder(a: Cylinder, b: Cylinder) -> Distance:
+def cylinder_to_cylinder(a: Cylinder, b: Cylinder) -> Callable[[Any], jax.Array]:
     """The signed distance () as a function of the pose T (4, 4) of b in the frame of a, whose radius is not larger."""
 
     def placed(T: jax.Array) -> _Cylinders:

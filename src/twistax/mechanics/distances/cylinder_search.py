@@ -2,9 +2,9 @@
 
 Outside, the distance to the cylinder is a convex function on the other solid. Its least value is at a corner, on an
 edge along which it falls from both ends, or above a face at the support point of the cylinder. Tangents at both ends
-bound it on an edge from below, so that most edges are left out. Inside, the gap is greatest in a direction that is normal to
-a smooth part of the boundary of the Minkowski difference; a direction across an edge is one only on the arc between the
-normals of both faces (Gauss map).
+bound it on an edge from below, so that most edges are left out. Inside, the gap is greatest in a direction that is
+normal to a smooth part of the boundary of the Minkowski difference; a direction across an edge is one only on the arc
+between the normals of both faces (Gauss map).
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ import jax
 import jax.numpy as jnp
 
 from .gjk import at, farthest, place_of
-from .polytope import Core, root
+from .polytope import root
 from .rim import RimIntervals, rim_intervals, rim_normal, sign_change, unit
+from .solids import Core
 
 #: A height above a face that is zero by rounding, relative to the radius; by which triangles of a face overlap.
 _TOUCHING, _SEAM = 1e-12, 1e-13

@@ -11,15 +11,13 @@ Source: D. Gregorius, The Separating Axis Test between Convex Polyhedra, Game De
 from __future__ import annotations
 
 import functools
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from .gjk import Contact, at, farthest, place_of
-
-if TYPE_CHECKING:
-    from .polytope import Core
+from .solids import Core
 
 #: Of the squared sine of edges that count as parallel.
 _PARALLEL = 1e-14
@@ -36,16 +34,16 @@ def least_depth(a: Core, b: Core, R: jax.Array, p: jax.Array) -> Contact:
     """The features with the greatest gap; a has faces, and b, at the pose (R, p), may be a point or a segment."""
     constant = functools.partial(jnp.asarray, dtype=R.dtype)
     A, B = constant(a.corners), constant(b.corners) @ R.T + p[None]
-    found = [_of_faces(constant(a.normals), constant(a.offsets), constant(a.planes), B)]
+    contacts = [_of_faces(constant(a.normals), constant(a.offsets), constant(a.planes), B)]
     if len(b.normals):
         normals = constant(b.normals) @ R.T
         planes = constant(b.planes).reshape(-1, 3) @ R.T + p[None]
         gap, reverse = _of_faces(normals, constant(b.offsets) + normals @ p, planes.reshape(-1, 3, 3), A)
-        found.append(_Gap(gap, Contact(reverse.b, reverse.a, -reverse.n)))
+        contacts.append(_Gap(gap, Contact(reverse.b, reverse.a, -reverse.n)))
     if len(b.edges):
-        found.append(_of_edges(a, b, R, p))
-    best = found[0]
-    for other in found[1:]:
+        contacts.append(_of_edges(a, b, R, p))
+    best = contacts[0]
+    for other in contacts[1:]:
         better = other.gap > best.gap
         best = jax.tree.map(lambda new, old, better=better: jnp.where(better, new, old), other, best)
     return best.contact

@@ -46,7 +46,7 @@ from ..cuda.columns import joined, parts
 from ..cuda.driver import driver
 from ..cuda.kernel import CudaKernel
 from ..cuda.ptx import libdevice
-from .arrays.body import ArrayBody, CalledLoops, array_form
+from .arrays.body import ArrayBody, array_form
 from .code import NotNative
 from .kernel import HostKernel, Kernel
 from .kernel_body import KernelBody, Straight, native_form
@@ -217,10 +217,6 @@ class KernelRunner:
 
         program = KernelOfArrays(closed, kernels, alone=True)
         return None if program.kernels is None else program
-
-    def called_loops(self, closed: ClosedJaxpr, checked: bool) -> CalledLoops:
-        """A function of matrices, whose loops end, for kernels that call it."""
-        return CalledLoops(array_form(closed, checked, True))
 
     def built(
         self, kind: type[KernelBody], form: Any, more: tuple[Any, ...], single: bool, platform: str

@@ -18,7 +18,7 @@ from ...primitives.matrix_products import PRODUCT
 from ...primitives.table import OPERATIONS
 from ...program import ScalarProgram, called_names
 from ...reader import emitted_form
-from .calls import results_by_numpy, write_call
+from .arrays.calls import results_by_numpy, write_call
 from .code import NAMES, Code, Module, NotNative
 from .lanes import Array, Rows
 from .pieces import PieceValues, Scratch

@@ -16,6 +16,7 @@ from ...graph import TooLarge
 from ...jax_primitive import PLATFORMS, Derived, Differentiable, call_program
 from ...loops import Looped, MakeKernel, Repeated, Ring, decides, repeating
 from ...program import Rows, ScalarProgram
+from .arrays.body import CalledLoops, array_form
 from .code import NotNative
 from .iterations import Iterations
 from .kernel_body import NATIVE_LIMITS, native_form
@@ -87,7 +88,7 @@ class StepKernels(StepCompiler):
     def constant(self, function: Step, shapes: Shapes) -> KernelOfArrays | None:
         program = self.of_matrices(function, shapes, True)
         if program is not None:
-            program.inside_kernels = self.runner.called_loops(program.program, self.scalars.checked)
+            program.inside_kernels = CalledLoops(array_form(program.program, self.scalars.checked, True))
         return program
 
     def shared(self, function: Step, shapes: Shapes) -> Derived | None:

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...graph import OpaqueCall, ScalarGraph
-from ...primitives.interface import flat
-from .code import NAMES, Code, Module
-from .lanes import Array
-from .machine_code import BuildError
+from ....graph import OpaqueCall, ScalarGraph
+from ....primitives.interface import flat
+from ..code import NAMES, Code, Module
+from ..lanes import Array
+from ..machine_code import BuildError
 
 
 def write_call(code: Code, graph: ScalarGraph, call: OpaqueCall, values: Sequence[str]) -> dict[int, str]:
@@ -29,9 +29,9 @@ def write_call(code: Code, graph: ScalarGraph, call: OpaqueCall, values: Sequenc
     kinds = [NAMES[graph.dtypes[i]] for i in call.sources]
     results = [NAMES[graph.dtypes[i]] for i in nodes]
     name = _of_lanes(module, code.lanes, call, kinds, results)
-    given = ", ".join(f"{code.vector(kind)} {value}" for kind, value in zip(kinds, values, strict=True))
+    operands = ", ".join(f"{code.vector(kind)} {value}" for kind, value in zip(kinds, values, strict=True))
     structure = "{ " + ", ".join(map(code.vector, results)) + " }"
-    result = code.emit(f"call {structure} @{name}({given})")
+    result = code.emit(f"call {structure} @{name}({operands})")
     return {i: code.emit(f"extractvalue {structure} {result}, {k}") for k, i in enumerate(nodes)}
 
 
