@@ -202,7 +202,7 @@ class PieceValues(dict[int, str]):
 
     def __setitem__(self, node: int, value: str) -> None:
         super().__setitem__(node, value)
-        if self._graph.operation(node) is not None or self._graph.call_of(node) is not None:
+        if self._graph.operation(node) is not None or self._graph.kernel_of(node) is not None:
             if node in self._scratch.slots:
                 self._store(node)
             self.used(self._graph.arguments(node))
