@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from ..jax_inside import ClosedJaxpr, jaxpr_as_fun
 from .graph import OpaqueCall, ScalarGraph
 from .primitives.cotangents import Cotangent, Cotangents
-from .primitives.interface import Nodes, flat, nodes
+from .primitives.interface import Nodes, flat, kernel_of, nodes
 from .program import ScalarProgram
 from .reader import JaxprReader
 
@@ -92,7 +92,7 @@ def _moving(program: ScalarProgram, active: Sequence[int]) -> set[int]:
     g, moving = program.graph, set(flat(*(program.inputs[k] for k in active)))
     for i in program.live:
         call = g.call_of(i)
-        if (call is None or call.kernel is None) and not moving.isdisjoint(g.sources(i)):
+        if kernel_of(call) is None and not moving.isdisjoint(g.sources(i)):
             moving.add(i)
     return moving
 
@@ -205,7 +205,7 @@ def _carry_call(
     g: ScalarGraph, call: OpaqueCall, carried: dict[int, dict[int, int]], wanted: Mapping[int, int] | None
 ) -> None:
     """The derivatives of the results of a call, column by column."""
-    if call.kernel is not None:
+    if kernel_of(call) is not None:
         return
     inputs = flat(*call.arguments)
     for column in _allowed({c for i in inputs for c in carried.get(i, ())}, flat(*call.results), wanted):

@@ -53,7 +53,6 @@ class OpaqueCall:
         arguments: arrays of nodes.
         results: the arrays of nodes that it gives.
         inline: whether emitters may write the function out: it is a call only for its own derivative.
-        kernel: of a function without derivatives that stays a call: what writes it in kernels; else None.
     """
 
     jaxpr: ClosedJaxpr
@@ -61,7 +60,6 @@ class OpaqueCall:
     arguments: tuple[Nodes, ...]
     results: tuple[Nodes, ...]
     inline: bool
-    kernel: Any = None
 
     @functools.cached_property
     def sources(self) -> list[int]:
@@ -144,9 +142,7 @@ class ScalarGraph:
         dtype = values.dtype
         return nodes([self.constant(value, dtype) for value in values.reshape(-1)], values.shape)
 
-    def call(
-        self, jaxpr: ClosedJaxpr, key: Any, arguments: Iterable[Nodes], inline: bool, kernel: Any = None
-    ) -> OpaqueCall:
+    def call(self, jaxpr: ClosedJaxpr, key: Any, arguments: Iterable[Nodes], inline: bool) -> OpaqueCall:
         """A call of a function, once for each set of arguments."""
         arguments = tuple(arguments)
         called = (key, *(a.tobytes() for a in arguments), *(a.shape for a in arguments))
@@ -156,7 +152,7 @@ class ScalarGraph:
                 dtype = np.dtype(aval.dtype)
                 entries = [self._intern((_RESULT, number, k, place), dtype) for place in range(aval.size)]
                 results.append(nodes(entries, aval.shape))
-            self._called[called] = OpaqueCall(jaxpr, key, arguments, tuple(results), inline, kernel)
+            self._called[called] = OpaqueCall(jaxpr, key, arguments, tuple(results), inline)
             self.calls.append(self._called[called])
         return self._called[called]
 
@@ -335,11 +331,6 @@ class ScalarGraph:
         """The call whose result a node is."""
         entry = self.nodes[node]
         return self.calls[entry[1]] if entry[0] is _RESULT else None
-
-    def kernel_of(self, node: int) -> Any:
-        """What writes in kernels the call whose result a node is; None for other nodes."""
-        call = self.call_of(node)
-        return None if call is None else call.kernel
 
     def known(self, operation: Operation, *arguments: int) -> int | None:
         """The node of an operation on nodes if the graph has it, else None."""

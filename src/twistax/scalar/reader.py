@@ -120,20 +120,18 @@ class JaxprReader:
         """Whether all entries of arrays are numbers."""
         return all(self.graph.values(a) is not None for a in arrays)
 
-    def call(
-        self, eqn: Any, arrays: Sequence[Nodes], body: ClosedJaxpr | None = None, kernel: Any = None
-    ) -> list[Nodes]:
+    def call(self, eqn: Any, arrays: Sequence[Nodes], body: ClosedJaxpr | None = None, key: Any = None) -> list[Nodes]:
         """An equation as a call of a function.
 
         Args:
             body: what it does, for a function that is called only because of its custom derivative.
-            kernel: what writes it in kernels, for a function without derivatives.
+            key: of a function without derivatives: what writes it in kernels.
         """
         distinct = {v: a for v, a in zip(eqn.invars, arrays, strict=True) if not isinstance(v, Literal)}
         equation = on_key_data(alone(self._reading[-1], eqn, list(distinct)))
         # A function that is unrolled for its derivative alone has no effects: equal functions are one call.
-        key = (kernel or object()) if body is None else _CustomDerivative(eqn.primitive.name, body, equation)
-        return list(self.graph.call(equation, key, distinct.values(), body is not None, kernel).results)
+        key = (key or object()) if body is None else _CustomDerivative(eqn.primitive.name, body, equation)
+        return list(self.graph.call(equation, key, distinct.values(), body is not None).results)
 
     def copy(
         self,
@@ -178,9 +176,9 @@ class JaxprReader:
     def _copy_call(self, call: OpaqueCall, known: dict[int, int]) -> bool:
         """Add what a call does; gives whether it stays a call."""
         arguments = [renamed(known, array) for array in call.arguments]
-        kept = self.keeps_calls or call.kernel is not None or stays_call(call, self.graph.limits)
+        kept = self.keeps_calls or stays_call(call, self.graph.limits)
         if kept:
-            results = list(self.graph.call(call.jaxpr, call.key, arguments, call.inline, call.kernel).results)
+            results = list(self.graph.call(call.jaxpr, call.key, arguments, call.inline).results)
         else:
             results = self.read(call.jaxpr, arguments)
         known.update(zip(flat(*call.results), flat(*results), strict=True))

@@ -80,13 +80,13 @@ def cylinder_to_cylinder(a: Cylinder, b: Cylinder) -> Callable[[Any], jax.Array]
     def formula(T: jax.Array, best: _Direction) -> jax.Array:
         pair, near, kind = placed(T), best.n, best.kind
         y, z, p = pair.y, pair.z, pair.p
-        up, along = (jnp.where(axis @ near < 0.0, -1.0, 1.0) for axis in (z, jax.lax.stop_gradient(y)))
-        of_first, of_second = p - up * pair.h * z, p - along * pair.k * y
-        corner = of_first - along * pair.k * y
+        up, second_sign = (jnp.where(axis @ near < 0.0, -1.0, 1.0) for axis in (z, jax.lax.stop_gradient(y)))
+        of_first, of_second = p - up * pair.h * z, p - second_sign * pair.k * y
+        corner = of_first - second_sign * pair.k * y
         product = pair.product
         directions = [
             up * z,
-            along * y,
+            second_sign * y,
             product * jnp.where(product @ near < 0.0, -1.0, 1.0),
             turned(near, z, of_second, y, pair.s),
             turned(near, y, of_first, z, pair.r),

@@ -104,11 +104,11 @@ def to_points(radius: float, height: float, p: jax.Array) -> tuple[jax.Array, ja
     outside = root(jnp.maximum(across, 0.0) ** 2 + jnp.maximum(up, 0.0) ** 2)
     is_outside, is_side = outside > 0.0, across > up
     length = jnp.where(is_outside, outside, 1.0)
-    along = jnp.where(is_outside, jnp.maximum(across, 0.0) / length, is_side.astype(p.dtype))
+    outward = jnp.where(is_outside, jnp.maximum(across, 0.0) / length, is_side.astype(p.dtype))
     upward = jnp.where(is_outside, jnp.maximum(up, 0.0) / length, 1.0 - is_side.astype(p.dtype))
-    along = along / jnp.where(flat > 0.0, flat, 1.0)
+    outward = outward / jnp.where(flat > 0.0, flat, 1.0)
     upward = jnp.where(p[:, 2] < 0.0, -upward, upward)
-    gradients = jnp.stack([along * p[:, 0], along * p[:, 1], upward], axis=1)
+    gradients = jnp.stack([outward * p[:, 0], outward * p[:, 1], upward], axis=1)
     return outside + jnp.minimum(jnp.maximum(across, up), 0.0), gradients
 
 

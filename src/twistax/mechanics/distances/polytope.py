@@ -143,8 +143,8 @@ def _features(a: Core, b: Core, T: jax.Array) -> _Features:
     R, p = T[:3, :3], T[:3, 3]
     size = float(np.abs(a.corners).max() + np.abs(b.corners).max())
     points = jnp.asarray(a.corners, T.dtype), jnp.asarray(b.corners, T.dtype) @ R.T + p[None]
-    apart, count, overlap = nearest_features(*points, size)
-    contact = jax.lax.cond(overlap, lambda: least_depth(a, b, R, p), lambda: apart)
+    nearest, count, overlap = nearest_features(*points, size)
+    contact = jax.lax.cond(overlap, lambda: least_depth(a, b, R, p), lambda: nearest)
     count = jnp.where(overlap, 3, count)
     w = contact.a - contact.b
     normal = jnp.cross(w[1] - w[0], w[2] - w[0])

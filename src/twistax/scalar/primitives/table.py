@@ -138,7 +138,7 @@ def _function(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
     kernel = eqn.params["program"].inside_kernels
     if kernel is None or eqn.params["batch"].depth or reader.known(arrays):
         return _written_out(reader, eqn, *arrays)
-    return reader.call(eqn, arrays, kernel=kernel)
+    return reader.call(eqn, arrays, key=kernel)
 
 
 def _members(eqn: Any) -> int:

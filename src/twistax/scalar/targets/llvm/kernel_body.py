@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ...graph import Limits, OpaqueCall, TooLarge
 from ...primitives.entry import Operation
-from ...primitives.interface import flat
+from ...primitives.interface import flat, kernel_of
 from ...primitives.matrix_products import PRODUCT
 from ...primitives.table import OPERATIONS
 from ...program import ScalarProgram, called_names
@@ -60,7 +60,7 @@ def native_form(program: ScalarProgram, *, products: bool = False) -> ScalarProg
     except TooLarge as error:
         raise NotNative(str(error).splitlines()[0]) from error
     g = form.graph
-    if foreign := [call for call in form.calls if call.key != PRODUCT and call.kernel is None]:
+    if foreign := [call for call in form.calls if call.key != PRODUCT and kernel_of(call) is None]:
         raise NotNative(f"{called_names(foreign)} has no native form")
     if form.calls and _turns_products(form):
         return native_form(program)
@@ -76,13 +76,13 @@ def native_form(program: ScalarProgram, *, products: bool = False) -> ScalarProg
 
 
 def _turns_products(form: ScalarProgram) -> bool:
-    """Whether a sine, a cosine or a call of a kernel, which are all in the first piece, depends on a product of matrices."""
+    """Whether a sine, a cosine or a call of a kernel, all in the first piece, depends on a product of matrices."""
     g, dependent = form.graph, set[int]()
     for i in form.live:
-        is_product = g.call_of(i) is not None and g.kernel_of(i) is None
+        is_product = g.call_of(i) is not None and kernel_of(g.call_of(i)) is None
         if is_product or not dependent.isdisjoint(g.sources(i)):
             dependent.add(i)
-            if g.operation(i) in _TURNING or g.kernel_of(i) is not None:
+            if g.operation(i) in _TURNING or kernel_of(g.call_of(i)) is not None:
                 return True
     return False
 
@@ -139,7 +139,7 @@ class Scalars:
             place, operation, arguments, call = g.input_of(i), g.operation(i), g.arguments(i), g.call_of(i)
             if place is not None:
                 values[i] = self._read(*place)
-            elif g.kernel_of(i) is not None and call is not None:
+            elif call is not None:
                 for node, value in write_call(self._code, g, call, list(map(self.value, call.sources))).items():
                     values[node] = value
             elif operation is None:
@@ -272,7 +272,7 @@ class Straight(KernelBody):
         self.chunk = max(1, self._CHUNK // (max(program.operations, 1) * lanes)) * lanes
 
     def body(self, code: Code, rows: Mapping[str, Rows]) -> None:
-        products = any(call.kernel is None for call in self.program.calls)
+        products = any(kernel_of(call) is None for call in self.program.calls)
         pieces = self.program.operations >= code.module.processor.longest or products
         code.module.long = pieces or sum(array.size for array in self.results) > _MANY
         if pieces:
@@ -292,7 +292,7 @@ class Straight(KernelBody):
             for k in sorted({k for k, _ in blocks.keys() - written.keys()}):
                 rows[f"r{k}"].clear()
             blocks = written
-        first = [i for i in program.live if g.operation(i) in _TURNING or g.kernel_of(i) is not None]
+        first = [i for i in program.live if g.operation(i) in _TURNING or kernel_of(g.call_of(i)) is not None]
         scratch = Scratch(program, module.processor, first, blocks)
         for number, steps in enumerate(scratch.pieces):
             piece = Code(module, self.lanes)
@@ -327,7 +327,7 @@ class Straight(KernelBody):
 
 def _called_by_numpy(rounded: Rounded, call: OpaqueCall, values: dict[int, NDArray[Any]]) -> dict[int, NDArray[Any]]:
     """The results of a call, of a product of matrices or of a kernel."""
-    by_call = product_by_numpy if call.kernel is None else results_by_numpy
+    by_call = product_by_numpy if kernel_of(call) is None else results_by_numpy
     return {i: rounded(value) for i, value in by_call(call, values).items()}
 
 

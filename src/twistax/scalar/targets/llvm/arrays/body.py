@@ -16,7 +16,7 @@ from ....graph import TooLarge
 from ....parts.inlining import inlined
 from ....parts.part import Constants
 from ....primitives.arithmetic import ELEMENTWISE
-from ....primitives.interface import flat
+from ....primitives.interface import InKernels, flat
 from ....primitives.table import OPERATIONS, entry_of
 from ....reader import scalarize
 from ..code import NAMES, Code, Module, NotNative
@@ -156,7 +156,7 @@ class ArrayBody(KernelBody):
         return [np.asarray(r).reshape(count, -1) for r in self._by_jax[count](*shaped)]
 
 
-class CalledLoops:
+class CalledLoops(InKernels):
     """A function of matrices that kernels of scalar programs call, for one member at a time."""
 
     def __init__(self, form: ArrayForm) -> None:

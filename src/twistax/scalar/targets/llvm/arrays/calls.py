@@ -37,10 +37,10 @@ def write_call(code: Code, graph: ScalarGraph, call: OpaqueCall, values: Sequenc
 
 def _of_lanes(module: Module, lanes: int, call: OpaqueCall, kinds: Sequence[str], results: Sequence[str]) -> str:
     """The name of a function from the entries of the arguments to those of the results, in lanes."""
-    callee = module.called.setdefault(call.kernel, f"loops.{len(module.called)}")
+    callee = module.called.setdefault(call.key, f"loops.{len(module.called)}")
     name = f"{callee}.lanes"
     if callee not in module.functions:
-        module.functions[callee] = call.kernel.text(module, callee)
+        module.functions[callee] = call.key.text(module, callee)
     if name in module.functions:
         return name
     code = Code(module, lanes)
@@ -85,7 +85,7 @@ def results_by_numpy(call: OpaqueCall, values: dict[int, NDArray[Any]]) -> dict[
     for array, v in _arrays(call)[: len(call.arguments)]:
         columns = [np.broadcast_to(values[i], (rows,)).astype(v.aval.dtype) for i in flat(array)]
         arguments.append(np.stack(columns, axis=1))
-    results = call.kernel.plain(arguments)
+    results = call.key.plain(arguments)
     return {
         i: result[:, k] for array, result in zip(call.results, results, strict=True) for k, i in enumerate(flat(array))
     }
