@@ -64,10 +64,13 @@ def _is_jaxpr(value: Any) -> bool:
 
 
 def inner_jaxprs(eqn: Any) -> list[ClosedJaxpr]:
-    """The jaxprs among the parameters of an equation: bodies of loops, branches, called functions."""
+    """The jaxprs among the parameters of an equation: bodies of loops, branches, called functions that are written
+    out.
+    """
     inner = [closed(p) for p in jax.tree.leaves(list(eqn.params.values()), is_leaf=_is_jaxpr) if _is_jaxpr(p)]
-    written: Any = getattr(eqn.params.get("program"), "program", None)
-    if _is_jaxpr(written):
+    program: Any = eqn.params.get("program")
+    written: Any = getattr(program, "program", None)
+    if _is_jaxpr(written) and getattr(program, "inside_kernels", None) is None:
         inner.append(closed(written))
     inside = expansion(eqn)
     return inner if inside is None else [*inner, inside]

@@ -121,7 +121,13 @@ class KernelOfArrays(ArrayProgram):
         program: the function.
         make: makes the kernels of a jaxpr; None: it has no native form.
         alone: whether one member alone is a kernel too.
+
+    Attributes:
+        inside_kernels: of a function without derivatives that stays a call in scalar programs: what writes it in their
+            kernels; None: it is written out there.
     """
+
+    inside_kernels: Any = None
 
     def __init__(
         self, program: ClosedJaxpr, make: Callable[[ClosedJaxpr], Kernels | None], *, alone: bool = False

@@ -97,6 +97,10 @@ class StepCompiler:
         """
         return None
 
+    def constant(self, function: Step, shapes: Shapes) -> Differentiable | None:
+        """`of_matrices` of a function whose derivatives are not taken and whose loops end, which other kernels call."""
+        return None
+
     def shared(self, function: Step, shapes: Shapes) -> Derived | None:
         """A function outside of loops in kernels as a kernel too, however small; None: it runs as it is."""
         return None

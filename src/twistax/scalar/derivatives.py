@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from ..jax_inside import ClosedJaxpr, jaxpr_as_fun
 from .graph import OpaqueCall, ScalarGraph
 from .primitives.cotangents import Cotangent, Cotangents
-from .primitives.interface import Nodes, flat, nodes
+from .primitives.interface import Nodes, flat, kernel_of, nodes
 from .program import ScalarProgram
 from .reader import JaxprReader
 
@@ -70,7 +70,7 @@ def cotangent_program(program: ScalarProgram, active: Sequence[int]) -> ScalarPr
     inputs, weights = _with_cotangents(program)
     for i, c in zip(program.flat, weights, strict=True):
         cotangents.add(i, Cotangent(c, g.one))
-    _pull(g, program.live, cotangents, program.depending(active))
+    _pull(g, program.live, cotangents, _moving(program, active))
     return _by_arguments(program, inputs, cotangents, active)
 
 
@@ -85,6 +85,16 @@ def contracted_program(program: ScalarProgram, active: Sequence[int]) -> ScalarP
     for (place, column), entry in jacobian(program, active).items():
         cotangents.add(columns[column], Cotangent(g.mul(entry, weights[place]), g.one))
     return _by_arguments(program, inputs, cotangents, active)
+
+
+def _moving(program: ScalarProgram, active: Sequence[int]) -> set[int]:
+    """The needed nodes that have a derivative by the arguments `active`, and these."""
+    g, moving = program.graph, set(flat(*(program.inputs[k] for k in active)))
+    for i in program.live:
+        call = g.call_of(i)
+        if kernel_of(call) is None and not moving.isdisjoint(g.sources(i)):
+            moving.add(i)
+    return moving
 
 
 def _with_cotangents(program: ScalarProgram) -> tuple[list[Nodes], list[int]]:
@@ -195,6 +205,8 @@ def _carry_call(
     g: ScalarGraph, call: OpaqueCall, carried: dict[int, dict[int, int]], wanted: Mapping[int, int] | None
 ) -> None:
     """The derivatives of the results of a call, column by column."""
+    if kernel_of(call) is not None:
+        return
     inputs = flat(*call.arguments)
     for column in _allowed({c for i in inputs for c in carried.get(i, ())}, flat(*call.results), wanted):
         seeds = {i: carried[i][column] for i in inputs if column in carried.get(i, ())}

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Generic, Literal, ParamSpec, TypeVar
 
 import jax
+import jax.numpy as jnp
 from jax import dtypes
 
 from ..errors import ModelError
@@ -18,6 +19,7 @@ from ..progress import say_once
 from .array_primitive import on_any_mesh
 from .backends import JAX, XLA, Backend, chosen
 from .jax_primitive import call_program
+from .kernel_function import KernelFunction
 from .parts.part import Reason, reason_of
 from .parts.segments import Segmented, has_parts
 from .targets.llvm.backend import Native, installed
@@ -186,6 +188,25 @@ def fast(
 def part_of_package(function: Callable[P, R], backend: Backend | Literal["auto"] = "auto") -> Fast[P, R]:
     """`fast` for functions of this package, without warnings, because users could not act on them."""
     return Fast(function, chosen(backend, Native() if installed() else XLA()), {}, warns=False)
+
+
+def searched(
+    search: Callable[[jax.Array], R], formula: Callable[[jax.Array, R], jax.Array]
+) -> Callable[[Any], jax.Array]:
+    """The function formula(x, search(x)) of an array, where the results of a search count as constants.
+
+    Both are kernels, so that derivatives are those of the formula and take no search. Both are pure; `while` loops in
+    the search end for all arguments.
+    """
+    backend = Native() if installed() else XLA()
+    constants = KernelFunction(search, backend, of_matrices=True, constant=True)
+    value = KernelFunction(formula, backend)
+
+    def function(x: Any) -> jax.Array:
+        x = jnp.asarray(x)
+        return value(x, constants(x))
+
+    return function
 
 
 # ---- traced values that functions close over -------------------------------------------------------------------------

@@ -43,13 +43,20 @@ class KernelFunction(Generic[R]):
         backend: what makes the kernels.
         of_matrices: whether matrices are loops over their entries in its kernel, and not scalars. Such kernels and
             their derivatives are short. `while` loops in it must end for all arguments.
+        constant: of matrices, whether results count as constants: their derivatives are zero, and kernels of which the
+            function is a part call it.
     """
 
-    def __init__(self, function: Callable[..., R], backend: Backend, *, of_matrices: bool = False) -> None:
-        self._function, self._backend, self._of_matrices = function, backend, of_matrices
+    def __init__(
+        self, function: Callable[..., R], backend: Backend, *, of_matrices: bool = False, constant: bool = False
+    ) -> None:
+        self._function, self._backend = function, backend
+        self._of_matrices, self._constant = of_matrices, constant
         self._programs: dict[Any, tuple[Differentiable, Any]] = {}
 
     def __call__(self, *arguments: Any) -> R:
+        if self._constant:
+            arguments = jax.lax.stop_gradient(arguments)
         if self._backend.runner is None:
             return self._function(*arguments)
         leaves, structure = jax.tree.flatten(arguments)
@@ -73,7 +80,12 @@ class KernelFunction(Generic[R]):
         with of_one_device():
             closed = jax.make_jaxpr(flat)(*shapes)
         if self._of_matrices:
-            program = self._backend.steps().of_matrices(jaxpr_as_fun(closed), shapes, True)
+            steps = self._backend.steps()
+            program = (
+                steps.constant(jaxpr_as_fun(closed), shapes)
+                if self._constant
+                else steps.of_matrices(jaxpr_as_fun(closed), shapes, True)
+            )
             return program or ArrayProgram(closed), forms[-1]
         # Loops without a known end are kernels of their own, between those of the rest.
         if any(eqn.primitive.name == "while" for eqn in all_equations(closed.jaxpr)):

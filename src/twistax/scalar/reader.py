@@ -120,16 +120,17 @@ class JaxprReader:
         """Whether all entries of arrays are numbers."""
         return all(self.graph.values(a) is not None for a in arrays)
 
-    def call(self, eqn: Any, arrays: Sequence[Nodes], body: ClosedJaxpr | None = None) -> list[Nodes]:
+    def call(self, eqn: Any, arrays: Sequence[Nodes], body: ClosedJaxpr | None = None, key: Any = None) -> list[Nodes]:
         """An equation as a call of a function.
 
         Args:
             body: what it does, for a function that is called only because of its custom derivative.
+            key: of a function without derivatives: what writes it in kernels.
         """
         distinct = {v: a for v, a in zip(eqn.invars, arrays, strict=True) if not isinstance(v, Literal)}
         equation = on_key_data(alone(self._reading[-1], eqn, list(distinct)))
         # A function that is unrolled for its derivative alone has no effects: equal functions are one call.
-        key = object() if body is None else _CustomDerivative(eqn.primitive.name, body, equation)
+        key = (key or object()) if body is None else _CustomDerivative(eqn.primitive.name, body, equation)
         return list(self.graph.call(equation, key, distinct.values(), body is not None).results)
 
     def copy(
@@ -366,7 +367,7 @@ def computed_before(program: ScalarProgram, argument: int) -> tuple[ScalarProgra
     Quotients by such numbers become products with their inverses.
 
     Args:
-        program: one without calls.
+        program: in native form.
     """
     divisors = _alone(program, argument)
     divided = (program.graph.arguments(i) for i in program.live if program.graph.operation(i) is _DIV)
@@ -374,7 +375,7 @@ def computed_before(program: ScalarProgram, argument: int) -> tuple[ScalarProgra
     program = rebuilt(program, shared, True, program.graph.limits) if shared else program
     old, alone = program.graph, _alone(program, argument)
     rest = [i for i in program.live if i not in alone]
-    read = {a for i in rest for a in old.arguments(i)} | set(program.flat)
+    read = {a for i in rest for a in old.sources(i)} | set(program.flat)
     ends = nodes(sorted(alone & read), (len(alone & read),))
     before = rebuilt(program.restricted([ends]), set(), True, old.limits)
     new = ScalarGraph(old.dtype, old.checked, old.largest, old.limits, old.signed_zeros)

@@ -7,92 +7,177 @@ It is the greatest gap over unit vectors n, outside and inside,
 for the centres p apart, the axes z, the radii r and the half lengths l. The gap is greatest in one of these directions:
 both axes, their product, the directions across one axis in which a side touches a rim (`rim.py`), or the normal of two
 rims at their nearest points. For these the square of the distance from a point of the smaller rim to the circle of the
-other one is a function of one angle, with 32 intervals in which bisection finds its least values.
+other one is a function of one angle, whose least values are searched in 32 intervals.
 """
 
 from __future__ import annotations
 
-from typing import Any
+import dataclasses
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ...scalar.fast import searched
 from ...view import Cylinder
-from .cylinder import reach
+from .cylinder_search import best_of, reach
 from .polytope import root
-from .rim import rim_normals, turned, unit
+from .rim import RimIntervals, rim_intervals, rim_normal, sign_change, turned, unit
 
-#: Intervals of a rim; halvings of one.
-_INTERVALS, _HALVINGS = 32, 24
+#: Intervals of a rim.
+_INTERVALS = 32
 #: Of sines and curvatures that count as zero, and the longest step of Newton's method.
 _SMALL, _LONG = 1e-9, 1e-3
+#: The kinds of directions: along the first or the second axis, along their product, where the side of the first touches
+#: a rim of the second or the reverse, where two rims are nearest.
+_FIRST, _SECOND, _PRODUCT, _SIDE, _REVERSE, _RIMS = range(6)
 
 
-def cylinder_to_cylinder(a: Cylinder, b: Cylinder, T: Any) -> jax.Array:
-    """The signed distance () for the pose T of b in the frame of a, whose radius is not larger."""
-    T = jnp.asarray(T)
-    r, s = (float(one.radius) for one in (a, b))
-    h, k = (0.5 * float(one.length) for one in (a, b))
-    z, y, p = jnp.asarray([0.0, 0.0, 1.0], T.dtype), T[:3, 2], T[:3, 3]
-
-    def gap(n: jax.Array) -> jax.Array:
-        of_b = k * jnp.abs(n @ y) + s * root(jnp.sum(jnp.cross(n, y[None]) ** 2, axis=1))
-        return n @ p - reach(r, h, n) - of_b
-
-    def best(tried: jax.Array) -> jax.Array:
-        return jnp.argmax(gap(jax.lax.stop_gradient(tried)))
-
-    across = unit(jnp.cross(z, y), z)
-    flat = jnp.stack([z, -z, y, -y, across, -across])
-    sides = (z, y, p - k * y, s), (z, y, p + k * y, s), (y, z, p - h * z, r), (y, z, p + h * z, r)
-    e, axis, q = (jnp.stack([side[i] for side in sides]) for i in range(3))
-    radii = jnp.asarray([side[3] for side in sides], T.dtype)
-    fixed_q, fixed_e, fixed_axis = (jax.lax.stop_gradient(a) for a in (q, e, axis))
-    swept = rim_normals(fixed_q, fixed_e, fixed_axis, radii).reshape(-1, 3)
-    i = best(swept)
-    side = turned(swept[i], e[i // 2], q[i // 2], axis[i // 2], radii[i // 2])
-    corners = jnp.stack([p - i * h * z - j * k * y for i in (-1.0, 1.0) for j in (-1.0, 1.0)])
-    rims, of_corner = _rims(r, s, jax.lax.stop_gradient(corners), jax.lax.stop_gradient(y))
-    i = best(rims)
-    n, q = rims[i], corners[of_corner[i]]
-    n = jax.lax.stop_gradient(_climbed(n, q, ((r, z), (s, y))))
-    tops = gap(jnp.stack([flat[best(flat)], side, _climbed(n, q, ((r, z), (s, y)))]))
-    return tops[jnp.argmax(tops)]
+class _Direction(NamedTuple):
+    gap: jax.Array
+    n: jax.Array
+    kind: jax.Array
 
 
-def _rims(r: float, s: float, q: jax.Array, y: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Directions (k, 3) between two rims at distances that are least, or ends of intervals; the q (4, 3) of each.
-
-    The first rim has the radius r around z, the second one the radius s around y, with its centre at q.
+@dataclasses.dataclass(frozen=True)
+class _Cylinders:
+    """Two cylinders, the first one in its frame, with radii r and s and half lengths h and k; the second one has the
+    axis y and the centre p.
     """
-    edges = jnp.linspace(0.0, 2.0 * np.pi, _INTERVALS + 1, dtype=q.dtype)
-    low, high = (jnp.tile(ends, (len(q), 1)) for ends in (edges[:-1], edges[1:]))
-    y = jnp.broadcast_to(y, (*low.shape, 3))
-    q = jnp.broadcast_to(q[:, None], y.shape)
 
-    def at(t: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """A point of the first rim and its tangent; the direction (..., 3) from the centre of the second rim to it."""
-        c, d, zero = jnp.cos(t), jnp.sin(t), jnp.zeros_like(t)
-        x, tangent = jnp.stack([r * c, r * d, zero], axis=-1), jnp.stack([-d, c, zero], axis=-1)
-        w = x - q
-        u = w - jnp.sum(w * y, axis=-1, keepdims=True) * y
-        return x, tangent, unit(u, y)
+    r: float
+    s: float
+    h: float
+    k: float
+    z: jax.Array
+    y: jax.Array
+    p: jax.Array
 
-    def halve(_: Any, ends: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-        low, high = ends
-        t = 0.5 * (low + high)
-        x, tangent, u = at(t)
-        rises = jnp.sum((x - q - s * u) * tangent, axis=-1) > 0.0
-        return jnp.where(rises, low, t), jnp.where(rises, t, high)
+    def gap(self, n: jax.Array) -> jax.Array:
+        """The gaps (k,) along directions n (k, 3)."""
+        across = jnp.cross(n, jnp.broadcast_to(self.y[None], n.shape))
+        of_second = self.k * jnp.abs(n @ self.y) + self.s * root(jnp.sum(across**2, axis=1))
+        return n @ self.p - reach(self.r, self.h, n) - of_second
 
-    low, high = jax.lax.fori_loop(0, _HALVINGS, halve, (low, high))
-    x, tangent, u = at(0.5 * (low + high))
-    between = unit(q + s * u - x, y)  # ill-conditioned at contact, where the product of tangents is not
-    product = unit(jnp.cross(tangent, jnp.cross(y, u)), y)
-    rims = jnp.stack([between, -between, product, -product], axis=2)
-    of_corner = np.repeat(np.arange(len(q)), rims.shape[1] * rims.shape[2])
-    return rims.reshape(-1, 3), jnp.asarray(of_corner)
+    def direction(self, n: jax.Array, kind: int) -> _Direction:
+        return _Direction(self.gap(n[None])[0], n, jnp.asarray(kind))
+
+    @property
+    def product(self) -> jax.Array:
+        return unit(jnp.cross(self.z, self.y), self.z)
+
+
+def cylinder_to_cylinder(a: Cylinder, b: Cylinder) -> Callable[[Any], jax.Array]:
+    """The signed distance () as a function of the pose T (4, 4) of b in the frame of a, whose radius is not larger."""
+
+    def placed(T: jax.Array) -> _Cylinders:
+        halves = 0.5 * float(a.length), 0.5 * float(b.length)
+        z = jnp.asarray([0.0, 0.0, 1.0], T.dtype)
+        return _Cylinders(float(a.radius), float(b.radius), *halves, z, T[:3, 2], T[:3, 3])
+
+    def formula(T: jax.Array, best: _Direction) -> jax.Array:
+        pair, near, kind = placed(T), best.n, best.kind
+        y, z, p = pair.y, pair.z, pair.p
+        up, second_sign = (jnp.where(axis @ near < 0.0, -1.0, 1.0) for axis in (z, jax.lax.stop_gradient(y)))
+        of_first, of_second = p - up * pair.h * z, p - second_sign * pair.k * y
+        corner = of_first - second_sign * pair.k * y
+        product = pair.product
+        directions = [
+            up * z,
+            second_sign * y,
+            product * jnp.where(product @ near < 0.0, -1.0, 1.0),
+            turned(near, z, of_second, y, pair.s),
+            turned(near, y, of_first, z, pair.r),
+            _climbed(near, corner, ((pair.r, z), (pair.s, y))),
+        ]
+        weights = (jnp.arange(len(directions)) == kind).astype(T.dtype)
+        return pair.gap((weights @ jnp.stack(directions))[None])[0]
+
+    return searched(lambda T: _best(placed(T)), formula)
+
+
+def _best(pair: _Cylinders) -> _Direction:
+    """The direction with the greatest gap."""
+    z, y, across = pair.z, pair.y, pair.product
+    directions = [(z, _FIRST), (-z, _FIRST), (y, _SECOND), (-y, _SECOND), (across, _PRODUCT), (-across, _PRODUCT)]
+    best: _Direction = best_of([pair.direction(n, kind) for n, kind in directions], jnp.greater)
+    best = _at_side(pair, best, _SIDE)
+    best = _at_side(pair, best, _REVERSE)
+    corners = [(i, j) for i in (-1.0, 1.0) for j in (-1.0, 1.0)]
+    q = jnp.stack([pair.p - i * pair.h * z - j * pair.k * y for i, j in corners])
+
+    def corner(best: _Direction, q: jax.Array) -> tuple[_Direction, None]:
+        return _at_rims(pair, q, best), None
+
+    result: _Direction = jax.lax.scan(corner, best, q)[0]
+    return result
+
+
+def _at_side(pair: _Cylinders, best: _Direction, kind: int) -> _Direction:
+    """The better of a direction and those in which the side of one cylinder touches the rims of the other one."""
+    if kind == _SIDE:
+        e, axis, radius, half, centre = pair.z, pair.y, pair.s, pair.k, -pair.p
+    else:
+        e, axis, radius, half, centre = pair.y, pair.z, pair.r, pair.h, pair.p
+    for sign in (-1.0, 1.0):
+        intervals = rim_intervals((centre - sign * half * axis)[None], e[None], None, sign * axis, radius)
+
+        def searched(best: _Direction, intervals: RimIntervals) -> _Direction:
+            n = rim_normal(jax.tree.map(lambda a: a[0], intervals))
+            return best_of([best, pair.direction(-n if kind == _SIDE else n, kind)], jnp.greater)
+
+        def kept(best: _Direction, intervals: RimIntervals) -> _Direction:
+            return best
+
+        best = jax.lax.cond(intervals.inside[0], searched, kept, best, intervals)
+    return best
+
+
+def _at_rims(pair: _Cylinders, q: jax.Array, best: _Direction) -> _Direction:
+    """The better of a direction and the normals at points of two rims whose distance is least.
+
+    The first rim has the radius r around z, the second one the radius s around y, with its centre at q (3,).
+    """
+    r, s, y = pair.r, pair.s, pair.y
+    angles = np.linspace(0.0, 2.0 * np.pi, _INTERVALS + 1)
+    circle = jnp.asarray(np.stack([np.cos(angles), np.sin(angles)], axis=1), q.dtype)
+
+    def at(c: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """Points (k, 3) of the first rim and its tangents, from (k, 2) cosines and sines; the directions (k, 3) to them
+        from the centre of the second rim.
+        """
+        zero = jnp.zeros_like(c[:, 0])
+        x, tangent = jnp.stack([r * c[:, 0], r * c[:, 1], zero], axis=1), jnp.stack([-c[:, 1], c[:, 0], zero], axis=1)
+        w = x - q[None]
+        return x, tangent, unit(w - (w @ y)[:, None] * y[None], y)
+
+    def slope(c: jax.Array) -> jax.Array:
+        x, tangent, u = at(c)
+        return jnp.sum((x - q[None] - s * u) * tangent, axis=1)
+
+    slopes = slope(circle)
+
+    def interval(best: _Direction, ends: Any) -> tuple[_Direction, None]:
+        low, high, before, after = ends
+
+        def searched() -> _Direction:
+            def point(t: jax.Array) -> jax.Array:
+                c = low + t * (high - low)
+                return (c / jnp.sqrt(c @ c))[None]
+
+            zero = jnp.zeros_like(before)
+            x, tangent, u = at(point(sign_change(lambda t: slope(point(t))[0], zero, zero + 1.0)))
+            between = unit(q + s * u[0] - x[0], y)  # ill-conditioned at contact, where the product of tangents is not
+            product = unit(jnp.cross(tangent[0], jnp.cross(y, u[0])), y)
+            candidates = [pair.direction(n, _RIMS) for n in (between, -between, product, -product)]
+            return best_of([best, *candidates], jnp.greater)
+
+        return jax.lax.cond((before <= 0.0) & (after >= 0.0), searched, lambda: best), None
+
+    result: _Direction = jax.lax.scan(interval, best, (circle[:-1], circle[1:], slopes[:-1], slopes[1:]))[0]
+    return result
 
 
 def _climbed(n: jax.Array, q: jax.Array, discs: tuple[tuple[float, jax.Array], ...]) -> jax.Array:

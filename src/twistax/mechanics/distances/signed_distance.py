@@ -37,7 +37,7 @@ from ..arguments import pose
 from .cylinder import cylinder_to_core, over_plane
 from .cylinder_pair import cylinder_to_cylinder
 from .distance_grid import DistanceGrid
-from .polytope import ConvexPolytope, Core, distance
+from .polytope import ConvexPolytope, core_of, distance
 from .solids import HalfSpace, Rounded, rounded
 
 #: For edges whose squared sine is smaller, corners are as near as the edges.
@@ -106,10 +106,10 @@ class Pair:
     def of_arrays(self) -> Callable[[Any], Any]:
         """The signed distance () of two bounded solids as a function of an array T (4, 4)."""
         if isinstance(self.a, Cylinder) and isinstance(self.b, Cylinder):
-            return functools.partial(cylinder_to_cylinder, self.a, self.b)
+            return cylinder_to_cylinder(self.a, self.b)
         if isinstance(self.a, Cylinder):
-            return functools.partial(cylinder_to_core, self.a, Core.of(self.b))
-        return functools.partial(distance, Core.of(self.a), Core.of(self.b))
+            return cylinder_to_core(self.a, core_of(self.b))
+        return distance(core_of(self.a), core_of(self.b))
 
     def _reach(self, n: Expr) -> Expr:
         """The extent of a along -n, a unit vector in its frame."""

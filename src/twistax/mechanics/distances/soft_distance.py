@@ -29,8 +29,9 @@ from ...expr.fields import ExprLike
 from ...expr.functions.function import Function
 from ...expr.lie import Compose, Inverse
 from ...view import Box, Capsule, Cylinder, Sphere
-from .polytope import ConvexPolytope, Core, root
+from .polytope import ConvexPolytope, core_of, root
 from .signed_distance import Solid, placed_pair
+from .solids import Core
 
 #: The number of Newton steps; of halvings of the width before them; and of halvings of each step.
 _STEPS, _WIDER, _HALVINGS = 20, 5, 6
@@ -68,7 +69,7 @@ def soft_distance(a: Solid, b: Solid, width: float, T_a: ExprLike | None = None,
                 f"soft_distance expects a Sphere, Capsule or Box of tx.view or a ConvexPolytope, got {short(solid)}"
             )
     pair, A, B = placed_pair("soft_distance", a, b, T_a, T_b)
-    one, two = (Core.of(core) for core in (pair.a, pair.b) if not isinstance(core, Cylinder))
+    one, two = (core_of(core) for core in (pair.a, pair.b) if not isinstance(core, Cylinder))
     value = functools.partial(_greatest_gap, one, two, float(width))
     return Function(value, (), name="soft_distance")(Compose(Inverse(A), B))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterable, Sequence
 from typing import Any, Protocol, TypeAlias
 
@@ -80,7 +81,26 @@ class Reader(Protocol):
     def read(self, program: ClosedJaxpr, inputs: Sequence[Nodes]) -> list[Nodes]: ...
     def inlined(self, program: Any, inputs: Sequence[Nodes]) -> list[Nodes]: ...
     def known(self, arrays: Iterable[Nodes]) -> bool: ...
-    def call(self, eqn: Any, arrays: Sequence[Nodes], body: ClosedJaxpr | None = None) -> list[Nodes]: ...
+    def call(
+        self, eqn: Any, arrays: Sequence[Nodes], body: ClosedJaxpr | None = None, key: Any = None
+    ) -> list[Nodes]: ...
+
+
+class InKernels(ABC):
+    """A function without derivatives that stays a call, whose key it is, and that kernels write and call."""
+
+    @abstractmethod
+    def text(self, module: Any, name: str) -> str:
+        """The function in LLVM's language, of the addresses of all arguments and results."""
+
+    @abstractmethod
+    def plain(self, arguments: Sequence[Any]) -> list[Any]:
+        """All results by JAX, for rows of arguments."""
+
+
+def kernel_of(call: Any) -> InKernels | None:
+    """What writes a call in kernels; None for other calls, and for none."""
+    return call.key if call is not None and isinstance(call.key, InKernels) else None
 
 
 # ---- arrays of nodes -------------------------------------------------------------------------------------------------

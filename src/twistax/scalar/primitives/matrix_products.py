@@ -10,7 +10,7 @@ from typing import Any
 import jax
 
 from ...jax_inside import ClosedJaxpr
-from .interface import Graph, Limits, nodes
+from .interface import Graph, Limits, kernel_of, nodes
 
 #: The key of a call that multiplies two matrices.
 PRODUCT = "product of matrices"
@@ -21,6 +21,8 @@ _FEWEST = 4
 
 def stays_call(call: Any, limits: Limits) -> bool:
     """Whether a call stays one where functions of scalars are unrolled."""
+    if kernel_of(call) is not None:
+        return True
     if call.key == PRODUCT:
         return limits.products < math.inf
     # A call that was too large to unroll may fit a graph with larger limits.

@@ -130,7 +130,15 @@ def _of_one(read: Callable[[Reader, Any, Sequence[Nodes]], list[Nodes]]) -> Read
 
 
 _program = _of_one(lambda reader, program, arrays: reader.inlined(program, arrays))
-_function = _of_one(lambda reader, program, arrays: reader.read(program, arrays))
+_written_out = _of_one(lambda reader, program, arrays: reader.read(program, arrays))
+
+
+def _function(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
+    """A function that runs in parts; one without derivatives stays a call, which kernels can make."""
+    kernel = eqn.params["program"].inside_kernels
+    if kernel is None or eqn.params["batch"].depth or reader.known(arrays):
+        return _written_out(reader, eqn, *arrays)
+    return reader.call(eqn, arrays, key=kernel)
 
 
 def _members(eqn: Any) -> int:
@@ -181,7 +189,8 @@ _CONTROL = [
         "batched_function",
         _function,
         "program batch inside",
-        inside=lambda eqn: not eqn.params["batch"].depth,
+        # A kernel is no part of a small function.
+        inside=lambda eqn: not eqn.params["batch"].depth and not eqn.params["program"].exports_kernels,
         repeats=_members,
     ),
 ]

@@ -60,6 +60,8 @@ class Module:
         self.packed = 0
         #: Functions of the C library that are called.
         self.library: set[str] = set()
+        #: The names of functions of matrices that are called.
+        self.called: dict[Any, str] = {}
         #: The addresses of functions of other modules.
         self.addresses: dict[str, int] = {}
 

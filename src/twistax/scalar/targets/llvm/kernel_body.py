@@ -11,13 +11,14 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from ...graph import Limits, TooLarge
+from ...graph import Limits, OpaqueCall, TooLarge
 from ...primitives.entry import Operation
-from ...primitives.interface import flat
+from ...primitives.interface import flat, kernel_of
 from ...primitives.matrix_products import PRODUCT
 from ...primitives.table import OPERATIONS
 from ...program import ScalarProgram, called_names
 from ...reader import emitted_form
+from .arrays.calls import results_by_numpy, write_call
 from .code import NAMES, Code, Module, NotNative
 from .lanes import Array, Rows
 from .pieces import PieceValues, Scratch
@@ -59,7 +60,7 @@ def native_form(program: ScalarProgram, *, products: bool = False) -> ScalarProg
     except TooLarge as error:
         raise NotNative(str(error).splitlines()[0]) from error
     g = form.graph
-    if foreign := [call for call in form.calls if call.key != PRODUCT]:
+    if foreign := [call for call in form.calls if call.key != PRODUCT and kernel_of(call) is None]:
         raise NotNative(f"{called_names(foreign)} has no native form")
     if form.calls and _turns_products(form):
         return native_form(program)
@@ -75,12 +76,13 @@ def native_form(program: ScalarProgram, *, products: bool = False) -> ScalarProg
 
 
 def _turns_products(form: ScalarProgram) -> bool:
-    """Whether a sine or cosine, which are all computed in the first piece, depends on a product of matrices."""
+    """Whether a sine, a cosine or a call of a kernel, all in the first piece, depends on a product of matrices."""
     g, dependent = form.graph, set[int]()
     for i in form.live:
-        if g.call_of(i) is not None or not dependent.isdisjoint(g.arguments(i)):
+        is_product = g.call_of(i) is not None and kernel_of(g.call_of(i)) is None
+        if is_product or not dependent.isdisjoint(g.sources(i)):
             dependent.add(i)
-            if g.operation(i) in _TURNING:
+            if g.operation(i) in _TURNING or kernel_of(g.call_of(i)) is not None:
                 return True
     return False
 
@@ -134,9 +136,12 @@ class Scalars:
         for i in nodes:
             if i in values:
                 continue
-            place, operation, arguments = g.input_of(i), g.operation(i), g.arguments(i)
+            place, operation, arguments, call = g.input_of(i), g.operation(i), g.arguments(i), g.call_of(i)
             if place is not None:
                 values[i] = self._read(*place)
+            elif call is not None:
+                for node, value in write_call(self._code, g, call, list(map(self.value, call.sources))).items():
+                    values[node] = value
             elif operation is None:
                 values[i] = self._code.constant(NAMES[g.dtypes[i]], g.numbers[i])
             else:
@@ -154,7 +159,7 @@ class Scalars:
             if i in self.values:
                 continue
             arguments = g.arguments(i)
-            depth[i] = max((depth.get(a, 0) for a in arguments), default=0)
+            depth[i] = max((depth.get(a, 0) for a in g.sources(i)), default=0)
             if g.operation(i) in _TURNING and self.values.get(arguments[0]) not in self._code.sines:
                 by_depth.setdefault((depth[i], g.dtypes[i].name), {})[arguments[0]] = None
                 depth[i] += 1
@@ -267,7 +272,8 @@ class Straight(KernelBody):
         self.chunk = max(1, self._CHUNK // (max(program.operations, 1) * lanes)) * lanes
 
     def body(self, code: Code, rows: Mapping[str, Rows]) -> None:
-        pieces = self.program.operations >= code.module.processor.longest or bool(self.program.calls)
+        products = any(kernel_of(call) is None for call in self.program.calls)
+        pieces = self.program.operations >= code.module.processor.longest or products
         code.module.long = pieces or sum(array.size for array in self.results) > _MANY
         if pieces:
             self._in_pieces(code, rows)
@@ -286,8 +292,8 @@ class Straight(KernelBody):
             for k in sorted({k for k, _ in blocks.keys() - written.keys()}):
                 rows[f"r{k}"].clear()
             blocks = written
-        turning = [i for i in program.live if g.operation(i) in _TURNING]
-        scratch = Scratch(program, module.processor, turning, blocks)
+        first = [i for i in program.live if g.operation(i) in _TURNING or kernel_of(g.call_of(i)) is not None]
+        scratch = Scratch(program, module.processor, first, blocks)
         for number, steps in enumerate(scratch.pieces):
             piece = Code(module, self.lanes)
             inner = self._moved(piece)
@@ -319,6 +325,12 @@ class Straight(KernelBody):
         return by_numpy(self.program, arguments, rounded)
 
 
+def _called_by_numpy(rounded: Rounded, call: OpaqueCall, values: dict[int, NDArray[Any]]) -> dict[int, NDArray[Any]]:
+    """The results of a call, of a product of matrices or of a kernel."""
+    by_call = product_by_numpy if kernel_of(call) is None else results_by_numpy
+    return {i: rounded(value) for i, value in by_call(call, values).items()}
+
+
 def _entry(rows: Mapping[str, Rows], argument: int, entry: int) -> str:
     return rows[f"a{argument}"].read(entry)
 
@@ -342,7 +354,7 @@ def by_numpy(
             lambda argument, place: arguments[argument][:, place],
             lambda value, dtype: rounded(np.full(count, value, dtype)),
             lambda operation, i, *a: rounded(np.asarray(operation.number(*a)).astype(program.graph.dtypes[i])),
-            lambda call, values: {i: rounded(value) for i, value in product_by_numpy(call, values).items()},
+            functools.partial(_called_by_numpy, rounded),
         )
     return [
         np.stack([values[i] for i in flat(nodes)], 1) if nodes.size else np.zeros((count, 0), dtype)

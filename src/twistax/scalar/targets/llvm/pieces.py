@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple, TypeAlias
 
 from ...graph import OpaqueCall
-from ...primitives.interface import flat
+from ...primitives.interface import flat, kernel_of
 from ...program import ScalarProgram
 from .code import NAMES, Code
 from .machine_code import Processor
@@ -61,7 +61,7 @@ class Scratch:
         place = dict.fromkeys(parts[0], 0)
         for i in program.live:
             call = g.call_of(i)
-            if call is not None and call.first == [i]:
+            if call is not None and kernel_of(call) is None and call.first == [i]:
                 self.products[len(parts)] = call
                 place.update(dict.fromkeys(flat(*call.results), len(parts)))
                 parts += [[], []]
@@ -98,9 +98,8 @@ class Scratch:
         for number, part in enumerate(parts):
             for width, slot in ending.pop(number - 1, []):
                 free.setdefault(width, []).append(slot)
-            leaving = (
-                (i,) for i in part if i not in self.slots and g.operation(i) is not None and last.get(i, 0) > number
-            )
+            computed = (i for i in part if g.operation(i) is not None or kernel_of(g.call_of(i)) is not None)
+            leaving = ((i,) for i in computed if i not in self.slots and last.get(i, 0) > number)
             for row in (*rows.get(number, []), *leaving):
                 slots = free.setdefault(len(row), [])
                 if not slots:
@@ -203,7 +202,7 @@ class PieceValues(dict[int, str]):
 
     def __setitem__(self, node: int, value: str) -> None:
         super().__setitem__(node, value)
-        if self._graph.operation(node) is not None:
+        if self._graph.operation(node) is not None or kernel_of(self._graph.call_of(node)) is not None:
             if node in self._scratch.slots:
                 self._store(node)
             self.used(self._graph.arguments(node))

@@ -16,6 +16,7 @@ from ...graph import TooLarge
 from ...jax_primitive import PLATFORMS, Derived, Differentiable, call_program
 from ...loops import Looped, MakeKernel, Repeated, Ring, decides, repeating
 from ...program import Rows, ScalarProgram
+from .arrays.body import CalledLoops, array_form
 from .code import NotNative
 from .iterations import Iterations
 from .kernel_body import NATIVE_LIMITS, native_form
@@ -83,6 +84,12 @@ class StepKernels(StepCompiler):
     def of_matrices(self, function: Step, shapes: Shapes, terminates: bool = False) -> KernelOfArrays | None:
         closed = pure(function, shapes, MOST_STORED) if installed() else None
         return None if closed is None else self.runner.arrays(closed, self.scalars.checked, terminates)
+
+    def constant(self, function: Step, shapes: Shapes) -> KernelOfArrays | None:
+        program = self.of_matrices(function, shapes, True)
+        if program is not None:
+            program.inside_kernels = CalledLoops(array_form(program.program, self.scalars.checked, True))
+        return program
 
     def shared(self, function: Step, shapes: Shapes) -> Derived | None:
         program = self._whole_step(function, shapes)

@@ -11,12 +11,12 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from .....jax_inside import ClosedJaxpr, Literal, all_equations, jaxpr_as_fun, part, quick_compile
+from .....jax_inside import ClosedJaxpr, Literal, all_equations, inner_jaxprs, jaxpr_as_fun, part, quick_compile
 from ....graph import TooLarge
 from ....parts.inlining import inlined
 from ....parts.part import Constants
 from ....primitives.arithmetic import ELEMENTWISE
-from ....primitives.interface import flat
+from ....primitives.interface import InKernels, flat
 from ....primitives.table import OPERATIONS, entry_of
 from ....reader import scalarize
 from ..code import NAMES, Code, Module, NotNative
@@ -154,6 +154,25 @@ class ArrayBody(KernelBody):
             traced = jax.jit(run, compiler_options=quick_compile(0), keep_unused=True).lower(*shaped)
             self._by_jax[count] = traced.compile()
         return [np.asarray(r).reshape(count, -1) for r in self._by_jax[count](*shaped)]
+
+
+class CalledLoops(InKernels):
+    """A function of matrices that kernels of scalar programs call, for one member at a time."""
+
+    def __init__(self, form: ArrayForm) -> None:
+        self._body = ArrayBody(form, 1)
+
+    def text(self, module: Module, name: str) -> str:
+        """The function in LLVM's language, of the addresses of all arguments and results."""
+        code, body = Code(module, 1), self._body
+        every = {f"a{k}": array for k, array in enumerate(body.arguments)}
+        every |= {f"r{k}": array for k, array in enumerate(body.results)}
+        body.body(code, {key: Rows(code, array, [f"%{key}"]) for key, array in every.items()})
+        return code.function(f"internal void @{name}({', '.join(f'ptr noalias %{key}' for key in every)})")
+
+    def plain(self, arguments: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
+        """All results by JAX, for rows of arguments."""
+        return self._body.plain(arguments)
 
 
 class _Writer(MatrixWriter):
@@ -307,4 +326,7 @@ def _is_small(eqn: Any) -> bool:
     entry = entry_of(eqn)
     if entry is None or (entry.read is None and not hasattr(entry, "number")):
         return False
-    return all(v.aval.size <= _SMALL for v in (*eqn.invars, *eqn.outvars)) and eqn.primitive.name not in _LOOPS
+    inside = (one for body in inner_jaxprs(eqn) for one in all_equations(body.jaxpr))
+    if any(one.primitive.name in _LOOPS for one in (eqn, *inside)):
+        return False
+    return all(v.aval.size <= _SMALL for v in (*eqn.invars, *eqn.outvars))
