@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy import ndarray as Array
 
 from ...checks import listed, reals, short
 from ...errors import InputError, ShapeError
