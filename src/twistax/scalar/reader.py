@@ -298,10 +298,12 @@ def emitted_form(program: ScalarProgram, limits: Limits = LIMITS) -> ScalarProgr
     Args:
         limits: the sizes up to which parts are unrolled; larger for emitters that cannot call a library.
     """
-    operations = map(program.graph.operation, program.live)
-    written = any(operation.written for operation in operations if operation is not None)
-    unrolled = written or not all(stays_call(call, limits) for call in program.calls)
-    expanded = rebuilt(program, set(), keep_calls=False, limits=limits) if unrolled else program
+    expanded = program
+    for _ in range(2):  # calls that are unrolled contain such operations too
+        operations = map(expanded.graph.operation, expanded.live)
+        written = any(operation.written for operation in operations if operation is not None)
+        if written or not all(stays_call(call, limits) for call in expanded.calls):
+            expanded = rebuilt(expanded, set(), keep_calls=False, limits=limits)
     if program.graph.checked:
         return expanded
     g = expanded.graph

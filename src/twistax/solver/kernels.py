@@ -323,11 +323,11 @@ class _Pending:
         Args:
             trace: the function in numbers of a type; series and thresholds are those of the type.
         Raises:
-            ModelError, NotNative: it has no scalar form.
+            ModelError: it has no scalar form.
         """
         with jax.enable_x64(dtype == np.float64):
             closed = self._closed if dtype == np.float64 else trace(dtype)
-            return ScalarForm(native_form(self._maker(closed)), self._arguments, numbers)
+            return ScalarForm(self._maker(closed), self._arguments, numbers)
 
 
 def _traced(function: Callable[..., Any], sizes: Mapping[Argument, int], dtype: np.dtype[Any]) -> ClosedJaxpr:

@@ -26,6 +26,8 @@ from export_systems import (
 from scipy.interpolate import CubicSpline, RegularGridInterpolator
 
 import twistax as tx
+from twistax.mechanics import ConvexPolytope, signed_distance
+from twistax.view import Sphere
 
 
 @pytest.fixture(scope="module")
@@ -249,6 +251,21 @@ def test_loops_of_unknown_length(tmp_path: Path) -> None:
         halvings = [max(np.ceil(np.log2(value * k)), 0.0) for k in ks[1:-1]]
         _, counts = library.call("dynamics_rates", [0.0, np.array(value), np.zeros(3)], [(), (3,)])
         np.testing.assert_array_equal(counts, [ks[-1], sum(halvings), 0.0])
+
+
+@needs_compiler
+def test_the_distance_to_a_polytope(tmp_path: Path) -> None:
+    """The search for its nearest corners is a loop."""
+    T, V = tx.State("T", group=tx.SE3), tx.Control("V", shape=(6,))
+    hull = ConvexPolytope(np.random.default_rng(0).normal(size=(8, 3)))
+    distance = signed_distance(Sphere(0.1), hull, T)
+    dynamics = tx.compile(tx.System(rates={T: V}, outputs={"d": distance}))
+    library, at = Library(dynamics.to_c(tmp_path, jacobian=()).source), tx.lower(distance)
+    for place in ([3.0, 0.5, 0.2], [0.3, -4.0, 1.0], [0.0, 0.1, 0.0]):
+        pose = np.eye(4)
+        pose[:3, 3] = place
+        (d,) = library.call("dynamics_outputs", [0.0, pose, np.zeros(6)], [()])
+        assert float(d) == pytest.approx(float(at(0.0, {"T": pose})), abs=1e-14)
 
 
 def test_what_has_no_scalars_is_named(tmp_path: Path) -> None:

@@ -26,12 +26,14 @@ class Limits:
         table: the size of a table with an index known only at run time. The index is compared with each place.
         equations: the equations of a loop, all iterations together, or of branches.
         products: the multiplications of columns of a product of matrices; as many and more are a call.
+        functions: whether functions of matrices without derivatives are calls.
     """
 
     pivoted: int = 4
     table: int = 16
     equations: int = 4000
     products: float = math.inf
+    functions: bool = True
 
 
 class Graph(Protocol):

@@ -22,7 +22,7 @@ _FEWEST = 4
 def stays_call(call: Any, limits: Limits) -> bool:
     """Whether a call stays one where functions of scalars are unrolled."""
     if kernel_of(call) is not None:
-        return True
+        return limits.functions
     if call.key == PRODUCT:
         return limits.products < math.inf
     # A call that was too large to unroll may fit a graph with larger limits.

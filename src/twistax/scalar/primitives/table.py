@@ -136,7 +136,8 @@ _written_out = _of_one(lambda reader, program, arrays: reader.read(program, arra
 def _function(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
     """A function that runs in parts; one without derivatives stays a call, which kernels can make."""
     kernel = eqn.params["program"].inside_kernels
-    if kernel is None or eqn.params["batch"].depth or reader.known(arrays):
+    stays = kernel is not None and reader.graph.limits.functions
+    if not stays or eqn.params["batch"].depth or reader.known(arrays):
         return _written_out(reader, eqn, *arrays)
     return reader.call(eqn, arrays, key=kernel)
 

@@ -7,13 +7,13 @@ from typing import Any
 
 from numpy import ndarray as Array
 
-from ...errors import TrajectoryError
-from ...scalar.primitives.entry import Operation
+from ...errors import ModelError, TrajectoryError
 from ...scalar.primitives.table_load import Table
-from ...scalar.program import ScalarProgram
-from ...scalar.targets.c import CType, c_type, expression
-from ...scalar.targets.llvm.code import NotNative
-from ...system.export.c_code import numbers
+from ...scalar.program import ScalarProgram, called_names
+from ...scalar.reader import emitted_form
+from ...scalar.targets.c import CType, c_type
+from ...system.export.c_code import Lines, numbers
+from ...system.export.programs import LIMITS, foreign_calls
 from ...system.hessian import REFUSALS
 from ..kernels import Argument, BatchKernel, ScalarForm
 from .shared_functions import SharedFunctions
@@ -75,12 +75,16 @@ class KernelCode:
         if kernel.written is None:
             raise TrajectoryError(f"to_c: {what} has no scalar form")
         try:
-            return kernel.written(self._real.dtype)
-        except (*REFUSALS, NotNative) as error:
+            form = kernel.written(self._real.dtype)
+            form = form._replace(program=emitted_form(form.program, LIMITS))
+            if foreign := foreign_calls(form.program, loops=True):
+                raise ModelError(f"it calls {called_names(foreign)}")
+        except (*REFUSALS, ModelError) as error:
             raise TrajectoryError(
                 f"to_c: {what} has no scalar form: {error}\n"
                 "  fix: use nodes, without JAX functions that call a library or the host"
             ) from error
+        return form
 
     def written(self, form: ScalarForm | None, what: str) -> str:
         """The initialiser of a `twx_kernel`, whose function is written; None: its result is zero."""
@@ -88,12 +92,11 @@ class KernelCode:
             return NO_KERNEL
         program, arguments, values = form
         name = f"kernel_{len(self.operations)}_{what}"
-        used, text = _function(name, program, self._real.name)
+        used, text = _function(name, program, self._real.name, self._tables)
         function = self._functions.setdefault(text.replace(name, ""), name)
         if function == name:
             self.functions.append(text)
         self.operations[name] = program.operations
-        self._tables |= dict.fromkeys(program.tables)
         constants = "NULL"
         if len(values) and Argument.NUMBERS in (arguments[k] for k in used):
             constants = f"{name}_numbers"
@@ -112,24 +115,18 @@ def _reading(functions: SharedFunctions, form: ScalarForm) -> ScalarForm:
     return form._replace(program=functions.read_by(form.program), arguments=[*form.arguments, Argument.SHARED])
 
 
-def _function(name: str, program: ScalarProgram, real: str) -> tuple[list[int], str]:
-    """The arguments that are read, and the text."""
-    graph, lines = program.graph, list[str]()
-    used: list[int] = []
+def _function(name: str, program: ScalarProgram, real: str, tables: dict[Table, None]) -> tuple[list[int], str]:
+    """The arguments that are read, and the text; tables that it loads from are added."""
+    lines, used = Lines(tables), list[int]()
 
     def entry(argument: int, place: int) -> str:
         if argument not in used:
             used.append(argument)
         return f"a{argument}[{place}]"
 
-    def computed(operation: Operation, node: int, *values: str) -> str:
-        result, argument = c_type(graph.dtypes[node]), c_type(graph.dtypes[graph.arguments(node)[-1]])
-        lines.append(f"const {result.name} v{len(lines)} = {expression(operation, argument, result, values)};")
-        return f"v{len(lines) - 1}"
-
-    values = program.computed(entry, lambda value, dtype: c_type(dtype).literal(value), computed)
+    values = lines.computed(program, entry)
     results = [f"out[{k}] = {values[node]};" for k, node in enumerate(program.flat)]
-    return used, _loop(name, used, [*lines, *results], real)
+    return used, _loop(name, used, [*lines.lines, *results], real)
 
 
 def _loop(name: str, used: Sequence[int], lines: Sequence[str], real: str) -> str:

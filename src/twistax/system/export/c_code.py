@@ -219,7 +219,7 @@ class StepLoop:
         return f"{self.head}\n{{\n" + "".join(f"    {line}\n" for line in lines) + "}\n"
 
 
-class _Lines:
+class Lines:
     """The lines of a function: values have numbers, in the order in which they are computed.
 
     Args:
@@ -297,7 +297,7 @@ def body(
         ModelError: a type that C does not have, or that lacks an operation.
     """
     program, g, every = function.program, function.program.graph, [*arguments, *function.extra]
-    lines = _Lines({} if tables is None else tables)
+    lines = Lines({} if tables is None else tables)
     used: set[int] = set()
 
     def entry(argument: int, place: int) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 
 from ...errors import ModelError
 from ...expr import Inputs
-from ...scalar.graph import Limits
+from ...scalar.graph import Limits, OpaqueCall
 from ...scalar.program import ScalarProgram, called_names
 from ...scalar.reader import emitted_form, scalarize
 from ..functions import Functions
@@ -21,7 +21,7 @@ from ..jacobian import blocks_in_arrays
 from .while_loop import is_while
 
 #: LU with pivots is unrolled up to the size that Cholesky is.
-LIMITS = Limits(pivoted=12, table=256, equations=100_000)
+LIMITS = Limits(pivoted=12, table=256, equations=100_000, functions=False)
 
 #: Of steps with which references are computed, in units of time.
 TEST_STEP = 2.0**-7
@@ -154,6 +154,11 @@ class Exporter:
         return dataclasses.replace(exported_function, results=kept, extra=tuple(extra), trial=tuple(extra.values()))
 
 
+def foreign_calls(form: ScalarProgram, loops: bool) -> list[OpaqueCall]:
+    """The calls of a program in emitted form that a language cannot have; `loops`: whether it has `while` loops."""
+    return [call for call in form.calls if not (loops and is_while(call))]
+
+
 def exported(
     name: str,
     kind: str,
@@ -164,7 +169,7 @@ def exported(
 ) -> ExportedFunction:
     """A function with all calls inlined, without empty results; with `loops` also with `while` loops."""
     form = emitted_form(program, limits=LIMITS)
-    if foreign := [call for call in form.calls if not (loops and is_while(call))]:
+    if foreign := foreign_calls(form, loops):
         first = "an explicit method for steps, or " if name == "step" else ""
         raise ModelError(
             f"the {name} call {called_names(foreign)}, without a scalar form.\n  fix: {first}"
