@@ -29,8 +29,7 @@ from ..jax_inside import (
     source_of,
 )
 from .graph import LIMITS, OpaqueCall, ScalarGraph
-from .primitives.interface import Limits, Nodes, flat, nodes
-from .primitives.matrix_products import stays_call
+from .primitives.interface import Limits, Nodes, flat, nodes, stays_call
 from .primitives.piecewise_constant import piecewise_constant
 from .primitives.table import OPERATIONS, WHERE, entry_of, say_unread
 from .program import ScalarProgram
@@ -300,9 +299,10 @@ def emitted_form(program: ScalarProgram, limits: Limits = LIMITS) -> ScalarProgr
     """
     expanded = program
     for _ in range(2):  # calls that are unrolled contain such operations too
-        operations = map(expanded.graph.operation, expanded.live)
-        written = any(operation.written for operation in operations if operation is not None)
-        if written or not all(stays_call(call, limits) for call in expanded.calls):
+        operations = filter(None, map(expanded.graph.operation, expanded.live))
+        if any(operation.written for operation in operations) or not all(
+            stays_call(call, limits) for call in expanded.calls
+        ):
             expanded = rebuilt(expanded, set(), keep_calls=False, limits=limits)
     if program.graph.checked:
         return expanded

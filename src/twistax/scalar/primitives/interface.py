@@ -36,6 +36,10 @@ class Limits:
     functions: bool = True
 
 
+#: The key of a call that multiplies two matrices.
+PRODUCT = "product of matrices"
+
+
 class Graph(Protocol):
     """The interface of `ScalarGraph`, which documents the methods."""
 
@@ -103,6 +107,16 @@ class InKernels(ABC):
 def kernel_of(call: Any) -> InKernels | None:
     """What writes a call in kernels; None for other calls, and for none."""
     return call.key if call is not None and isinstance(call.key, InKernels) else None
+
+
+def stays_call(call: Any, limits: Limits) -> bool:
+    """Whether a call stays one where functions of scalars are unrolled."""
+    if kernel_of(call) is not None:
+        return limits.functions
+    if call.key == PRODUCT:
+        return limits.products < math.inf
+    # A call that was too large to unroll may fit a graph with larger limits.
+    return not call.inline and limits == Limits()
 
 
 # ---- arrays of nodes -------------------------------------------------------------------------------------------------

@@ -10,23 +10,10 @@ from typing import Any
 import jax
 
 from ...jax_inside import ClosedJaxpr
-from .interface import Graph, Limits, kernel_of, nodes
-
-#: The key of a call that multiplies two matrices.
-PRODUCT = "product of matrices"
+from .interface import PRODUCT, Graph, nodes
 
 #: A loop over fewer columns gains nothing.
 _FEWEST = 4
-
-
-def stays_call(call: Any, limits: Limits) -> bool:
-    """Whether a call stays one where functions of scalars are unrolled."""
-    if kernel_of(call) is not None:
-        return limits.functions
-    if call.key == PRODUCT:
-        return limits.products < math.inf
-    # A call that was too large to unroll may fit a graph with larger limits.
-    return not call.inline and limits == Limits()
 
 
 def columns_in_calls(g: Graph, A: Sequence[Sequence[int]], B: Sequence[Sequence[int]]) -> dict[tuple[int, int], int]:

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from ...graph import Limits, OpaqueCall, TooLarge
 from ...primitives.entry import Operation
-from ...primitives.interface import flat, kernel_of
-from ...primitives.matrix_products import PRODUCT
+from ...primitives.interface import PRODUCT, flat, kernel_of
 from ...primitives.table import OPERATIONS
 from ...program import ScalarProgram, called_names
 from ...reader import emitted_form
