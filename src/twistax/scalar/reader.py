@@ -293,16 +293,14 @@ def emitted_form(program: ScalarProgram, limits: Limits = LIMITS) -> ScalarProgr
     become products with one 1 / d, unless the program is checked.
 
     A shared reciprocal costs one more rounding, half a unit in the last place.
-
     Args:
-        limits: the sizes up to which parts are unrolled; larger for emitters that cannot call a library.
+        limits: what is unrolled; more for emitters that cannot call a library.
     """
     expanded = program
     for _ in range(2):  # calls that are unrolled contain such operations too
         operations = filter(None, map(expanded.graph.operation, expanded.live))
-        if any(operation.written for operation in operations) or not all(
-            stays_call(call, limits) for call in expanded.calls
-        ):
+        stays = all(stays_call(call, limits) for call in expanded.calls)
+        if not stays or any(operation.written for operation in operations):
             expanded = rebuilt(expanded, set(), keep_calls=False, limits=limits)
     if program.graph.checked:
         return expanded
