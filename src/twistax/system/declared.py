@@ -91,6 +91,9 @@ def checked_slopes(slopes: Slopes | KnownSlopes, group: Product, leaves: Contain
         if not all(isinstance(pair, (tuple, list)) and len(pair) == 2 for pair in pairs_of_state):
             raise ModelError(f"{place} expects pairs (argument, derivative), got {short(pairs_of_state)}")
         checked[name] = tuple((expression_at(place, by), expression_at(place, slope)) for by, slope in pairs_of_state)
+        for leaf in leaves_of(*itertools.chain(*checked[name])):
+            if isinstance(leaf, (State, Control, Parameter)) and leaf.name not in leaves:
+                raise ModelError(f"{place} reads {leaf.name!r}, which the system does not have")
         for by, slope in checked[name]:
             if not isinstance(by, State) and by.ndim != 1:
                 raise ShapeError(
@@ -102,9 +105,6 @@ def checked_slopes(slopes: Slopes | KnownSlopes, group: Product, leaves: Contain
                 raise ShapeError(
                     f"{place} expects shape {wanted} for the derivative with respect to {short(by)}, got {slope.shape}"
                 )
-        for leaf in leaves_of(*itertools.chain(*checked[name])):
-            if isinstance(leaf, (State, Control, Parameter)) and leaf.name not in leaves:
-                raise ModelError(f"{place} reads {leaf.name!r}, which the system does not have")
     return checked
 
 
