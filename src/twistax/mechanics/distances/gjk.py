@@ -29,7 +29,7 @@ _TOUCHING = 1e-13
 _FAR = 1e30
 
 
-class Contact(NamedTuple):
+class ClosestFeatures(NamedTuple):
     """Features of two polytopes.
 
     Attributes:
@@ -55,7 +55,7 @@ class _Simplex(NamedTuple):
     ended: jax.Array
 
 
-def nearest_features(A: jax.Array, B: jax.Array, size: float) -> tuple[Contact, jax.Array, jax.Array]:
+def nearest_features(A: jax.Array, B: jax.Array, size: float) -> tuple[ClosestFeatures, jax.Array, jax.Array]:
     """The nearest corners, edges or faces of the convex hulls of points A (k, 3) and B (l, 3).
 
     Args:
@@ -95,7 +95,7 @@ def nearest_features(A: jax.Array, B: jax.Array, size: float) -> tuple[Contact, 
         left = left & ~order[-1]
         order.append(jnp.where(left.any(), first_of(left), order[0]))
     rows = jnp.stack(order).astype(A.dtype)
-    return Contact(rows @ end.a, rows @ end.b, -end.v), jnp.sum(end.used), end.square <= touching
+    return ClosestFeatures(rows @ end.a, rows @ end.b, -end.v), jnp.sum(end.used), end.square <= touching
 
 
 def first_of(flags: jax.Array) -> jax.Array:

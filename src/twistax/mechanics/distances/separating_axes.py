@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from .gjk import Contact, at, farthest, place_of
+from .gjk import ClosestFeatures, at, farthest, place_of
 from .solids import Core
 
 #: Of the squared sine of edges that count as parallel.
@@ -27,10 +27,10 @@ _NONE = -1e30
 
 class _Gap(NamedTuple):
     gap: jax.Array
-    contact: Contact
+    contact: ClosestFeatures
 
 
-def least_depth(a: Core, b: Core, R: jax.Array, p: jax.Array) -> Contact:
+def least_depth(a: Core, b: Core, R: jax.Array, p: jax.Array) -> ClosestFeatures:
     """The features with the greatest gap; a has faces, and b, at the pose (R, p), may be a point or a segment."""
     constant = functools.partial(jnp.asarray, dtype=R.dtype)
     A, B = constant(a.corners), constant(b.corners) @ R.T + p[None]
@@ -39,7 +39,7 @@ def least_depth(a: Core, b: Core, R: jax.Array, p: jax.Array) -> Contact:
         normals = constant(b.normals) @ R.T
         planes = constant(b.planes).reshape(-1, 3) @ R.T + p[None]
         gap, reverse = _of_faces(normals, constant(b.offsets) + normals @ p, planes.reshape(-1, 3, 3), A)
-        contacts.append(_Gap(gap, Contact(reverse.b, reverse.a, -reverse.n)))
+        contacts.append(_Gap(gap, ClosestFeatures(reverse.b, reverse.a, -reverse.n)))
     if len(b.edges):
         contacts.append(_of_edges(a, b, R, p))
     best = contacts[0]
@@ -58,7 +58,7 @@ def _of_faces(normals: jax.Array, offsets: jax.Array, planes: jax.Array, points:
     gaps = jax.lax.scan(face, None, (normals, offsets))[1]
     place = place_of(gaps == jnp.max(gaps))
     n, corners = (at(x, place) for x in (normals, planes))
-    return _Gap(jnp.max(gaps), Contact(corners, jnp.broadcast_to(farthest(points, -n)[None], (3, 3)), n))
+    return _Gap(jnp.max(gaps), ClosestFeatures(corners, jnp.broadcast_to(farthest(points, -n)[None], (3, 3)), n))
 
 
 def _of_edges(a: Core, b: Core, R: jax.Array, p: jax.Array) -> _Gap:
@@ -94,5 +94,5 @@ def _of_edges(a: Core, b: Core, R: jax.Array, p: jax.Array) -> _Gap:
     n = jnp.cross(d, at(e, j))
     n = jnp.where(n @ (A + B) < 0.0, -n, n)
     n = n / jnp.sqrt(jnp.where(n @ n > 0.0, n @ n, 1.0))
-    contact = Contact(jnp.stack([q, other, q]), jnp.stack([of_b[0], of_b[0], of_b[1]]), n)
+    contact = ClosestFeatures(jnp.stack([q, other, q]), jnp.stack([of_b[0], of_b[0], of_b[1]]), n)
     return _Gap(jnp.max(gaps), contact)

@@ -14,7 +14,7 @@ from ..sources import constant
 from ..structures import JoinStructure, NodeStructure
 from ..transcription import NONE, CorePhase, Transcription
 from .kernel_code import NO_KERNEL, KernelCode, array
-from .precision import Precision
+from .precision import CodePrecision
 
 #: Arrays that a controller has in its own memory.
 _OWN_MEMORY = ("data", "node_rows", "work", "scratch", "cost_slopes", "steps", "join", "window")
@@ -113,7 +113,7 @@ class PhaseCode:
         if kind in (ctypes.c_int32, ctypes.c_int64):
             return "" if name == "node_width" else f".{name} = {value}"
         if kind is ctypes.c_double:
-            return f".{name} = {self._real.literal(Precision(self._real).at_least(value, _CLOSE))}"
+            return f".{name} = {self._real.literal(CodePrecision(self._real).at_least(value, _CLOSE))}"
         return f".{name} = {self._pointer(value)}" if kind is ctypes.c_void_p and name != "node" else ""
 
     def _pointer(self, address: int | None) -> str:

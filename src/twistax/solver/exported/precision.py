@@ -27,7 +27,7 @@ _ROUNDING = {
 
 
 @dataclasses.dataclass(frozen=True)
-class Precision:
+class CodePrecision:
     """The type of numbers of a program."""
 
     real: CType

@@ -16,7 +16,7 @@ from ...progress import watching
 from ...scalar.targets.c import CType
 from ...solver.exported.kernel_code import array
 from ...solver.exported.phase_code import PhaseCode
-from ...solver.exported.precision import Precision
+from ...solver.exported.precision import CodePrecision
 from ...solver.sources import controller_core
 from ...system.export import CFiles
 from ...system.export.c99 import check_name, real_type, write_files
@@ -44,7 +44,7 @@ class ControllerCode:
 
     def __init__(self, controller: Any, name: str, memory: int, real: CType) -> None:
         self._controller, self._name, self._real = controller, name, real
-        self._precision, self._literal = Precision(real), real.literal
+        self._precision, self._literal = CodePrecision(real), real.literal
         self._solve, self._staged = controller.prepared, controller.staged
         self._transcription = self._staged.transcription
         self._stages = self._transcription.stages
