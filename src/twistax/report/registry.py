@@ -7,6 +7,7 @@ from .figures import (
     costs,
     defaults,
     derivatives,
+    distances,
     filters,
     hessians,
     identities,
@@ -78,6 +79,7 @@ FIGURES: dict[str, Section] = {
     "defaults": defaults.DEFAULTS,
     "larger": larger_matrices.LARGER,
     "mechanisms": mechanisms.MECHANISMS,
+    "distances": distances.DISTANCES,
     "landings": costs.LANDINGS,
     "optima": optimal.OPTIMA,
 }
