@@ -18,7 +18,11 @@ from ..harness.timing import Race, Timed, batch
 
 _POSES = 1000
 _CORNERS = np.random.default_rng(0).normal(size=(14, 3)) * 0.3
-_SOLIDS = {"polytope": ConvexPolytope(_CORNERS), "box": Box((0.4, 0.7, 1.1)), "cylinder": Cylinder(0.2, 0.9)}
+_SOLIDS: dict[str, Any] = {
+    "polytope": ConvexPolytope(_CORNERS),
+    "box": Box((0.4, 0.7, 1.1)),
+    "cylinder": Cylinder(0.2, 0.9),
+}
 
 
 def _poses() -> Array:
