@@ -259,7 +259,7 @@ def test_what_does_not_fit_is_refused() -> None:
     controller = regulator().controller()
     x = {"p": 0.0, "v": 0.0}
     for wrong, match in (
-        ({"p": 0.0}, "a value for every state: 'p', 'v'"),
+        ({"p": 0.0}, "a value for every state: 'p', 'v'; got 'p', without 'v'"),
         ({"p": 0.0, "w": 0.0}, "unknown state 'w'"),
         ({"p": np.nan, "v": 0.0}, r"x\['p'\] expects finite numbers"),
         ({"p": np.zeros(2), "v": 0.0}, r"x\['p'\] expects shape \(\)"),

@@ -48,10 +48,10 @@ class FirstNode:
         """Traced values of all states by name. Raises InputError, ShapeError: a missing state or another shape."""
         values = {name_of(key): value for key, value in x.items()} if isinstance(x, Mapping) else {}
         if values.keys() != self._states.keys():
-            raise InputError(f"feedback expects a value for every state: {listed(self._states)}; got {short(x)}")
+            raise self._incomplete(x)
         for name, (_, _, shape, _) in self._states.items():
             if np.shape(values[name]) != shape:
-                raise ShapeError(f"feedback: x[{name!r}] expects shape {shape}, got {np.shape(values[name])}")
+                raise ShapeError(f"the measured state: x[{name!r}] expects shape {shape}, got {np.shape(values[name])}")
         return values
 
     def read(self, x: Mapping[Any, Any]) -> Array:
@@ -62,21 +62,31 @@ class FirstNode:
                 element of its group.
         """
         if not isinstance(x, Mapping) or len(x) != len(self._states):
-            raise InputError(f"feedback expects a value for every state: {listed(self._states)}; got {short(x)}")
+            raise self._incomplete(x)
         base = np.empty(self.size)
         for key, value in x.items():
             name = name_of(key)
             if name not in self._states:
-                raise InputError(f"feedback: unknown state {name!r}; the states are: {listed(self._states, name)}")
+                raise InputError(
+                    f"the measured state: unknown state {name!r}; the states are: {listed(self._states, name)}"
+                )
             places, _, shape, group = self._states[name]
             array = value if type(value) is np.ndarray and value.dtype == float else _numbers(name, value)
             if array.shape != shape:
-                raise ShapeError(f"feedback: x[{name!r}] expects shape {shape}, got {array.shape}")
+                raise ShapeError(f"the measured state: x[{name!r}] expects shape {shape}, got {array.shape}")
             if not np.isfinite(array).all():
-                raise InputError(f"feedback: x[{name!r}] expects finite numbers, got {short(array)}")
-            need_element(name, group, array, "feedback: x")
+                raise InputError(f"the measured state: x[{name!r}] expects finite numbers, got {short(array)}")
+            need_element(name, group, array, "the measured state: x")
             base[places] = array.ravel()
         return base
+
+    def _incomplete(self, x: Any) -> InputError:
+        expected = f"the measured state expects a value for every state: {listed(self._states)}"
+        if not isinstance(x, Mapping):
+            return InputError(f"{expected}; got {short(x)}")
+        names = [name_of(key) for key in x]
+        missing = [name for name in self._states if name not in names]
+        return InputError(f"{expected}; got {listed(names)}" + (f", without {listed(missing)}" if missing else ""))
 
     def point(self, solve: PreparedSolve) -> Array:
         """A copy of the measured states of the first node."""
@@ -100,4 +110,4 @@ class FirstNode:
 
 
 def _numbers(name: str, value: Any) -> Array:
-    return np.asarray(reals(f"feedback: x[{name!r}]", value, InputError), float)
+    return np.asarray(reals(f"the measured state: x[{name!r}]", value, InputError), float)
