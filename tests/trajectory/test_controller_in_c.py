@@ -157,8 +157,12 @@ def test_a_sine_is_computed_once_for_values_and_derivatives(tmp_path: Path) -> N
     a, w, u = tx.State("a"), tx.State("w"), tx.Control("u")
     dynamics = tx.compile(tx.System(rates={a: w, w: u - tx.Sin(a)}))
     problem = Problem(dynamics, tx.Minimize(running=a * a + u * u), nodes=3, final_time=1.0, initial={a: 1.0, w: 0.0})
-    text = problem.to_c(tmp_path, name="loop").source.read_text()
+    files = problem.to_c(tmp_path, name="loop", max_iterations=50)
+    text, target = files.source.read_text(), tmp_path / "test"
     assert text.count(" sin(") == text.count(" cos(") == 1
+    built(["-O0", str(files.source), str(files.test), "-lm", "-o", str(target)])
+    ran = subprocess.run([str(target)], capture_output=True, text=True)
+    assert ran.returncode == 0, ran.stdout + ran.stderr
 
 
 def test_functions_without_a_form_in_scalars_are_refused(tmp_path: Path) -> None:
