@@ -124,7 +124,7 @@ class KernelOfArrays(ArrayProgram):
 
     Attributes:
         inside_kernels: of a function without derivatives that stays a call in scalar programs: what writes it in their
-            kernels; None: it is written out there.
+            kernels; None: it is unrolled there.
     """
 
     inside_kernels: Any = None

@@ -23,7 +23,7 @@ from .solids import Core
 
 #: A height above a face that is zero by rounding, relative to the radius; by which triangles of a face overlap.
 _TOUCHING, _SEAM = 1e-12, 1e-13
-#: Stands for features that are none.
+#: The gap and the height of features that do not exist.
 _FAR = 1e12
 
 
