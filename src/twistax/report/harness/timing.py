@@ -32,6 +32,8 @@ def within(progress: ProgressCallback, place: int, count: int, before: str = "")
 
 #: Timed calls in a row on each visit, after one that is not timed; what is longer (s) is called once.
 _CALLS, _SHORT = 3, 5e-3
+#: Points of a batch whose first call is timed as compilation.
+_FEW = 64
 #: What takes longer, s, is not called twice to see how long it takes.
 _LONG = 0.1
 
@@ -100,9 +102,11 @@ def batch(function: Callable[..., Any], *points: Any) -> Timed:
     """A function of one point for many, their axis first: it writes where the call before wrote, as a loop in C does.
 
     What the system takes to give new memory is no part of its time. Compiling is the processor's time to the first
-    result.
+    result of a few of the points, so that it contains neither the run time of all nor their memory.
     """
     begin, points = time.process_time(), jax.tree.map(jnp.asarray, points)
+    jax.block_until_ready(jax.jit(jax.vmap(function))(*jax.tree.map(lambda a: a[:_FEW], points)))
+    seconds = time.process_time() - begin
     run = jax.jit(lambda *a: jax.vmap(function)(*a[:-1]), donate_argnums=len(points), keep_unused=True)
     shapes = jax.eval_shape(jax.vmap(function), *points)
     memory = [jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes)]
@@ -112,7 +116,7 @@ def batch(function: Callable[..., Any], *points: Any) -> Timed:
         return memory[0]
 
     jax.block_until_ready(call())
-    return Timed(call, len(jax.tree.leaves(points)[0]), time.process_time() - begin)
+    return Timed(call, len(jax.tree.leaves(points)[0]), seconds)
 
 
 def repeated(count: int, call: Callable[..., Any], *arguments: Any) -> Any:
