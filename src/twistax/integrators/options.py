@@ -110,7 +110,7 @@ def with_options(
                 try:
                     signature.bind(*arguments, **named)
                 except TypeError as error:
-                    raise TypeError(f"{function.__name__}() {error}") from None
+                    raise TypeError(_call_error(function.__name__, signature, arguments, named, error)) from None
                 raise
             return function(*first, options)
 
@@ -123,6 +123,21 @@ def with_options(
         return call
 
     return decorate
+
+
+def _call_error(
+    name: str, signature: inspect.Signature, arguments: Sequence[Any], named: Mapping[str, Any], error: TypeError
+) -> str:
+    """The message of a call that does not match the signature, with the arguments that are expected."""
+    options = [p.name for p in signature.parameters.values() if p.kind is p.KEYWORD_ONLY]
+    leading = [p for p in signature.parameters if p not in options]
+    if len(arguments) > len(leading):
+        return (
+            f"{name}() expects {len(leading)} positional arguments ({', '.join(leading)}), got {len(arguments)}.\n"
+            f"  fix: pass the others by name: {', '.join(options)}"
+        )
+    unknown = [key for key in named if key not in signature.parameters]
+    return f"{name}() {error}; it expects {listed(options, unknown[0])}" if unknown else f"{name}() {error}"
 
 
 class Plan(NamedTuple):
