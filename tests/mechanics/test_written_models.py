@@ -141,6 +141,19 @@ def test_mjcf_simulated_by_mujoco(tmp_path: Path) -> None:
     assert read_back(before, tmp_path, "mjcf").segment_of("hinge").link.drive == spring
 
 
+def test_a_fixed_link_with_an_inertia_and_no_mass(tmp_path: Path) -> None:
+    """Files contain such links, the Panda's of frax for example; MuJoCo accepts them where they are fixed."""
+    inertia = "<inertial><mass value='{}'/><inertia ixx='.1' iyy='.1' izz='.1' ixy='0' ixz='0' iyz='0'/></inertial>"
+    (tmp_path / "arm.urdf").write_text(f"""<robot name="arm"><link name="base"/>
+        <link name="rod">{inertia.format(1)}</link><link name="flange">{inertia.format(0)}</link>
+        <joint name="hinge" type="continuous"><parent link="base"/><child link="rod"/><axis xyz="0 0 1"/></joint>
+        <joint name="weld" type="fixed"><parent link="rod"/><child link="flange"/><origin xyz="1 0 0"/></joint></robot>
+    """)
+    before = mechanics.load(tmp_path / "arm.urdf")
+    same(before, read_back(before, tmp_path, "mjcf"))
+    near(evaluated({"M": mechanics.mass_matrix(before)}, {"q": np.zeros(1)})["M"], [[0.2]])
+
+
 def test_closures_go_into_mjcf(tmp_path: Path) -> None:
     linkage = four_bar().replace(gravity=(0.0, 1.0, -3.0))
     with pytest.raises(ModelError, match="closures: of 'closure'"):
