@@ -14,6 +14,7 @@ from .figures import (
     larger_matrices,
     lookups,
     mechanisms,
+    robots,
     scalars,
     small_matrices,
     steps,
@@ -80,6 +81,7 @@ FIGURES: dict[str, Section] = {
     "larger": larger_matrices.LARGER,
     "mechanisms": mechanisms.MECHANISMS,
     "distances": distances.DISTANCES,
+    "robots": robots.ROBOTS,
     "landings": costs.LANDINGS,
     "optima": optimal.OPTIMA,
 }

@@ -6,6 +6,8 @@ A step minimises $|e - J d|^2 + mu |d|^2$ over the degrees of freedom that are n
 
 where D is a diagonal matrix of zeros and ones, and is clipped to the limits. It is accepted if |e| decreases; otherwise
 mu is increased. The search from a seed ends at a minimum, where the part of J^T e that limits do not block vanishes.
+If limits block a degree of freedom at the first minimum, it moves to the middle of its range, and the search goes on
+from there: of 10,000 poses within the limits of a Panda, 8 seeds then miss 8 in place of 36.
 
 Sources: K. Levenberg, Quarterly of Applied Mathematics 2 (1944); T. Sugihara, IEEE Transactions on Robotics 27 (2011),
 for damping proportional to |e|^2; C. Kanzow and others, J. of Computational and Applied Mathematics 172 (2004), for
@@ -72,6 +74,7 @@ class ReachState(NamedTuple):
     damping: jax.Array
     step: jax.Array
     seed: jax.Array
+    turned: jax.Array  # whether degrees of freedom at their limits were moved to the middle, for this seed
     steps: jax.Array
     minima: jax.Array
     best: Arrays
@@ -96,7 +99,7 @@ class SeededSearch:
         last = jax.lax.while_loop(
             lambda s: (s.seed < count) & ~self.reached(s.e, numbers),
             lambda s: self._next(s, targets, seeds, numbers),
-            ReachState(start, e, J, damping, zero, zero, zero, zero, start, jnp.sum(e * e)),
+            ReachState(start, e, J, damping, zero, zero, zero > 0, zero, zero, start, jnp.sum(e * e)),
         )
         x = self._improved(last.best, targets, numbers) if self._errors.has_secondary else last.best
         e, J = self._errors(x, targets, numbers)
@@ -131,31 +134,37 @@ class SeededSearch:
         options, count = self._options, next(iter(seeds.values())).shape[0]
         free, share = self._steepness(s.x, s.e, s.J)
         minimum = (share <= options.flat) | (s.damping > options.most)
-        ended = minimum | (s.step >= options.iterations)
+        turns = minimum & ~s.turned & ~jnp.all(free) & (s.step < options.iterations)
+        ended = ~turns & (minimum | (s.step >= options.iterations))
+        restarted = turns | ended
         seed = s.seed + ended.astype(jnp.int32)
         fresh = {name: value[jnp.minimum(seed, count - 1)] for name, value in seeds.items()}
-        trial = {name: jnp.where(ended, fresh[name], value) for name, value in self._stepped(s, free).items()}
+        stepped = self._errors.space.moved(
+            s.x, jnp.where(turns, self._errors.space.to_middle(s.x, ~free), self._step(s, free))
+        )
+        trial = {name: jnp.where(ended, fresh[name], value) for name, value in stepped.items()}
         e, J = self._errors(trial, targets, numbers)
         before, after = jnp.sum(s.e * s.e), jnp.sum(e * e)
-        kept = ended | (after < before)
+        kept = restarted | (after < before)
         damping = jnp.where(kept, jnp.maximum(s.damping * options.shrink, options.least), s.damping * options.grow)
         better = after < s.least
         return ReachState(
             x={name: jnp.where(kept, value, s.x[name]) for name, value in trial.items()},
             e=jnp.where(kept, e, s.e),
             J=jnp.where(kept, J, s.J),
-            damping=jnp.where(ended, options.damping, damping).astype(e.dtype),
+            damping=jnp.where(restarted, options.damping, damping).astype(e.dtype),
             step=jnp.where(ended, 0, s.step + 1),
             seed=seed,
+            turned=~ended & (s.turned | turns),
             steps=s.steps + 1,
-            minima=s.minima + minimum.astype(jnp.int32),
+            minima=s.minima + (minimum & ended).astype(jnp.int32),
             best={name: jnp.where(better, value, s.best[name]) for name, value in trial.items()},
             least=jnp.where(better, after, s.least),
         )
 
-    def _stepped(self, s: ReachState, free: jax.Array) -> Arrays:
+    def _step(self, s: ReachState, free: jax.Array) -> jax.Array:
         mu = s.damping * jnp.sum(s.e * s.e) + np.finfo(s.e.dtype).eps * jnp.sum(s.J * s.J)
-        return self._errors.space.moved(s.x, self.least_squares(jnp.where(free[None], s.J, 0.0), s.e, mu))
+        return self.least_squares(jnp.where(free[None], s.J, 0.0), s.e, mu)
 
     def _steepness(self, x: Arrays, e: jax.Array, J: jax.Array) -> tuple[jax.Array, jax.Array]:
         """The degrees of freedom that may follow the gradient of |e|^2, and the gradient's length as a fraction of |J|

@@ -158,6 +158,11 @@ class ConfigurationSpace:
         above, below = self.margins(x, slope.dtype)
         return ((above > 0.0) | (slope > 0.0)) & ((below > 0.0) | (slope < 0.0))
 
+    def to_middle(self, x: Arrays, at_limit: jax.Array) -> jax.Array:
+        """The step (n,) of those degrees of freedom that are at a limit to the middle of their ranges, by at most pi."""
+        above, below = self.margins(x, next(iter(x.values())).dtype)
+        return jnp.where(at_limit, 0.5 * jnp.clip(below - above, -2.0 * np.pi, 2.0 * np.pi), 0.0)
+
     def random(self, rng: np.random.Generator, count: int) -> Arrays:
         """Random positions (count, ...) within the limits. Without limits, angles are within one turn, and elements
         near the identity.

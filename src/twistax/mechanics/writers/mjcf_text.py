@@ -83,7 +83,7 @@ class MjcfText:
         for part, D in zip(passed, reversed(after), strict=True):
             self._add_joint(element, part, D, body)
         if body.body is not None:
-            self._add_inertia(element, body.name, body.body, moves=bool(body.joint.dofs))
+            self._add_inertia(element, body.name, body.body, jointed=bool(body.joint.dofs))
         elif body.joint.dofs and not self._has_mass(body):
             raise ModelError(
                 f"to_mjcf: link {body.name!r} moves, but neither it nor a link that is fixed to it has "
@@ -103,13 +103,13 @@ class MjcfText:
         fixed = (part for part in self._children[link.name] if not part.joint.dofs)
         return link.body is not None or any(self._has_mass(part) for part in fixed)
 
-    def _add_inertia(self, element: ElementTree.Element, name: str, body: SpatialInertia, moves: bool) -> None:
+    def _add_inertia(self, element: ElementTree.Element, name: str, body: SpatialInertia, jointed: bool) -> None:
         # Of a body that is fixed to its parent, MuJoCo also accepts a mass or an inertia of zero.
         value, of = self._losses.value, f"link {name!r}"
         mass, center = value(f"the mass of {of}", body.mass), value(f"the centre of mass of {of}", body.center_of_mass)
         moments, axes = np.linalg.eigh(value(f"the inertia of {of}", body.inertia))
         small = min(moments[0], mass)
-        too_small = small <= 0.0 if moves else small < 0.0
+        too_small = small <= 0.0 if jointed else small < 0.0
         if too_small or moments[2] > (moments[0] + moments[1]) * (1.0 + _ROUND_OFF):
             raise ModelError(
                 "to_mjcf: MuJoCo requires a positive mass, positive principal moments, and no principal "

@@ -32,10 +32,16 @@ _FILES = {
     "Panda": ("frax/assets/franka_panda/panda.urdf", False),
     "ANYmal": (f"{_DATA}/anymal_b_simple_description/robots/anymal.urdf", True),
     "Talos": (f"{_DATA}/talos_data/robots/talos_reduced.urdf", True),
+    "G1": (f"{_DATA}/g1_description/urdf/g1_29dof_rev_1_0.urdf", True),
 }
 
 
-def _file(robot: str) -> tuple[Path, bool]:
+#: The robots of this section.
+_ROBOTS = ("Panda", "ANYmal", "Talos")
+
+
+def robot_file(robot: str) -> tuple[Path, bool]:
+    """The file of a robot, and whether its root link floats. Raises Absent if it is not installed."""
     name, floating = _FILES[robot]
     spec = importlib.util.find_spec("pinocchio")
     for parent in Path(spec.origin).parents if spec and spec.origin else ():
@@ -49,7 +55,7 @@ def _mechanism(robot: str) -> Mechanism:
     """The robot without damping and friction, which Pinocchio leaves out."""
     if robot not in _FILES:
         return chain_models.equal_links(int(robot.split()[0]))
-    path, floating = _file(robot)
+    path, floating = robot_file(robot)
     read = mechanics.load(path, floating=floating, physical=False)
     return Mechanism([dataclasses.replace(link, drive=Drive()) for link in read.links], read.gravity)
 
@@ -78,7 +84,7 @@ def _ours(robot: str, part: str) -> tuple[Timed, float]:
 @functools.cache
 def _pinocchio(robot: str) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, list[int]]:
     """Pinocchio's model; positions, velocities and forces of the batch; where our velocities stand among its."""
-    pin, (path, floating) = needed("pinocchio", "pin"), _file(robot)
+    pin, (path, floating) = needed("pinocchio", "pin"), robot_file(robot)
     model = pin.buildModelFromUrdf(str(path), *([pin.JointModelFreeFlyer()] if floating else []))
     ours, (x, u) = _mechanism(robot), _points(robot)
     q, order = np.tile(pin.neutral(model), (_BATCH, 1)), list[int]()
@@ -176,7 +182,7 @@ def _row(what: str, by: str, limits: Sequence[float], measure: Any, part: str) -
     unit = "s" if "compiling" in what else ""
     return [
         quick(f"{what}, {robot}", by, at_most(limit, unit), measure, robot, part, slow=limit > 1.0)
-        for robot, limit in zip((*_FILES, "30 links", "60 links"), limits, strict=False)
+        for robot, limit in zip((*_ROBOTS, "30 links", "60 links"), limits, strict=False)
     ]
 
 
