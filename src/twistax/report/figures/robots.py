@@ -159,7 +159,7 @@ _ENDS = ("left_wrist_yaw_link", "right_wrist_yaw_link", "left_ankle_roll_link", 
 def _controllers() -> dict[str, Timed]:
     """A step of six tasks of a G1 (35 degrees of freedom), ours and pink's."""
     pin, pink, (path, _) = needed("pinocchio", "pin"), needed("pink", "pin-pink"), robot_file("G1")
-    robot, dt, root = mechanics.load(path, floating=True), 0.01, tx.pose(position=[0.1, 0.2, 0.8])
+    robot, dt, root = mechanics.load(path, floating=True), 0.01, np.asarray(tx.pose(position=[0.1, 0.2, 0.8]))
     low, high = np.asarray(robot.q["q"].min), np.asarray(robot.q["q"].max)
     q = np.clip(0.2 * np.random.default_rng(0).normal(size=len(low)), low + 0.05, high - 0.05)
     x = {"q": q, "root_position": root}
@@ -198,13 +198,14 @@ _CONTROLLERS = Race(_controllers, 1e-6)
 
 def _regressors() -> dict[str, Timed]:
     """The regressor of a Panda in a batch, compared with Pinocchio's, which is called for one point after the other."""
-    pin, arm, count = needed("pinocchio", "pin"), _panda(), 1000
+    pin, path, count = needed("pinocchio", "pin"), robot_file("Panda")[0], 1000
+    arm = mechanics.load(path, quarter_turns=0.0)  # angles as they are in the file
     q, qd, qdd = tx.State("q", shape=(arm.dofs,)), tx.State("qd", shape=(arm.dofs,)), tx.Control("qdd", (arm.dofs,))
     known = mechanics.inverse_dynamics_regressor(arm, q, qd, qdd, drives=[])
     system = tx.System(rates={q: qd, qd: qdd}, outputs={"Y": known.matrix})
     dynamics = tx.compile(system, backend=tx.Native(threads=1))
     points = np.random.default_rng(2).normal(size=(3, count, arm.dofs))
-    model = pin.buildModelFromUrdf(str(robot_file("Panda")[0]))
+    model = pin.buildModelFromUrdf(str(path))
     data = model.createData()
     ours = batch(lambda q, qd, qdd: dynamics.outputs(0.0, {"q": q, "qd": qd}, {"qdd": qdd})["Y"], *points)
 
