@@ -111,7 +111,7 @@ def test_a_block_on_a_slope_rests_within_its_friction_cone_alone(friction: float
 def test_bristles_store_or_dissipate_what_a_point_supplies_under_any_normal_force() -> None:
     """-f v = d/dt (k |z|^2 / 2) + c |z'|^2 + (power of the slider), the last two not negative, at random states."""
     mu, load, d, sigma = 0.5, 30.0, 2e-3, 15.0
-    place, v = joints.Prismatic("z", np.eye(3)[2]), tx.State("v", (3,))
+    place = joints.Prismatic("z", np.eye(3)[2])
     links = [Link(joints.Prismatic(n, a), None, np.eye(4), parent=q) for n, a, q in zip("xy", np.eye(3), [None, "x"])]
     links.append(Link(place, SpatialInertia(mass=2.0, inertia=np.eye(3)), np.eye(4), parent="y"))
     robot, ground = Mechanism(links), Ground(stiffness=1e4, damping=1.0, friction=mu)
@@ -131,7 +131,8 @@ def test_bristles_store_or_dissipate_what_a_point_supplies_under_any_normal_forc
     power, slider, n, *f = np.asarray(jax.jit(jax.vmap(lambda x: every(0.0, x)))(x)).T
     friction = np.hypot(*f)
     np.testing.assert_allclose(power, slider, rtol=1e-9, atol=1e-9 * np.abs(slider).max())
-    assert slider.min() >= -1e-12 * slider.max() and friction.max() > 20.0
+    assert slider.min() >= -1e-12 * slider.max()
+    assert friction.max() > 20.0
     assert (friction <= mu * n * (1.0 + 1e-9) + 1e-7).all()
     y = np.linalg.norm(k * x["bristle_z"] + c * x["qd"][:, :2], axis=1)
     for here, expected in ((y > 1.02 * mu * n + 1e-6, mu * n), (y < 0.98 * mu * n, y)):
@@ -155,7 +156,8 @@ def test_a_block_on_its_edges_comes_to_rest_on_a_slope() -> None:
     method = tx.ImplicitRKMK(tx.tableaus.RADAU_IIA5)
     sol = tx.integrate(system, x0, t1=4.0, rtol=1e-6, method=method, save_at=np.array([0.1, 2.0, 4.0]))
     q, speed = np.asarray(sol.xs["q"]), np.abs(np.asarray(sol.xs["qd"])).max(axis=1)
-    assert speed[0] > 1e-3 and speed[-1] < 1e-6
+    assert speed[0] > 1e-3
+    assert speed[-1] < 1e-6
     np.testing.assert_allclose(q[2], q[1], atol=1e-6)
     deflection = sum(np.asarray(sol.xs[f"bristle_{name}"])[2, 0] for name in edges)
     np.testing.assert_allclose(deflection, 2.0 * 1e-3 * np.sin(SLOPE) / 0.5, rtol=1e-6)  # they carry the weight

@@ -185,8 +185,8 @@ class Ground:
         continuous first derivatives.
 
         **Passivity**: for any n(t) the power that the point supplies is stored or dissipated, with the storage function
-        $k |z|^2 / 2$. Proof: $-f = k z + c \dot z$ by the definitions, and the slider moves with $v - \dot z = (1 - p) y
-        / c$. Hence
+        $k |z|^2 / 2$. Proof: $-f = k z + c \dot z$ by the definitions, and the slider moves with the velocity $v - \dot
+        z = (1 - p) y / c$. Hence
 
         $-f \cdot v = \frac{d}{dt} \frac{k |z|^2}{2} + c |\dot z|^2 + p (1 - p) |y|^2 / c,$
 
@@ -221,7 +221,7 @@ class Ground:
         gravity = checked("Ground.bristles", mechanism).gravity
         if load is None and isinstance(gravity, Constant) and not gravity.value.any():
             raise ModelError("Ground.bristles expects gravity or a load, got neither.\n  fix: pass load=, N")
-        share = total_mass(mechanism) * Norm(gravity) / len(names) if load is None else to_expr(float(load))
+        share = total_mass(mechanism) * Norm(gravity) / max(len(names), 1) if load is None else to_expr(float(load))
         k, c = self.friction * share / deflection, self.friction * share * damping
         result = Bristles({}, {})
         for name in names:
