@@ -208,6 +208,18 @@ def test_balls_and_capsules_touch_the_ground_with_their_surface(unchecked: None)
         GROUND.wrenches(robot, {"block": cast(Any, tx.view.Box((0.1, 0.1, 0.1)))})
 
 
+def test_a_ball_in_a_bowl_is_pushed_through_its_centre() -> None:
+    """A bowl x^2 + y^2 with the radius of curvature 0.5 m; the ball's centre is off its axis and at rest."""
+    bowl = Ground(stiffness=1e4, height=lambda x, y: x * x + y * y)
+    ball = bowl.wrenches(block(), {"block": tx.view.Sphere(0.05)})["block"]
+    x = {"block_position": tx.pose(position=[0.02, 0.0, 0.0495], euler=[0.4, 0.1, 0.3]), "qd": np.zeros(6)}
+    F = np.asarray(evaluated(ball, x)).reshape(2, 3) @ x["block_position"][:3, :3].T
+    slope = -F[0, 0] / F[0, 2]
+    assert F[0, 2] > 5.0
+    np.testing.assert_allclose(slope, 0.02 / 0.45, rtol=2e-2)  # of the line from the centre of curvature
+    np.testing.assert_allclose(F[1] / (0.05 * F[0, 2]), 0.0, atol=0.02 * slope)
+
+
 @pytest.mark.parametrize("height", [tx.Parameter("rise", value=2.0), tx.Time(), tx.State("w", (2,))], ids=repr)
 def test_a_height_field_of_more_than_x_and_y_is_refused(height: Any) -> None:
     with pytest.raises(tx.errors.ModelError, match="scalar expression of x and y alone"):

@@ -258,7 +258,9 @@ class Ground:
         Args:
             frames: names of the frames whose origins touch the ground; or a dict from names to the shape that touches
                 it, a `tx.view.Sphere` or a `Capsule`. A capsule touches the ground with the balls at its two ends. A
-                ball touches a height field along the normal at its centre, which is exact if the ground is plane there.
+                ball touches a height field along the normal at the point that is nearest if the ground is plane below
+                its centre. On ground with the radius of curvature rho the error of the normal's angle is of the order
+                (radius / rho)^2.
         Raises: ModelError for an unknown frame, or a shape that is not supported; ShapeError for positions of another
             shape.
         """
@@ -275,7 +277,10 @@ class Ground:
             forces = []
             for centre in ball.corners @ ball.at[:3, :3].T + ball.at[:3, 3]:
                 arm = T[:3, :3] @ centre
-                arm = arm - ball.radius * self.upward(T[:3, 3] + arm)
+                middle = T[:3, 3] + arm
+                # At the normal of the ground at its contact point: at that of its centre f would turn it.
+                lowest = middle - ball.radius * self.upward(middle)
+                arm = arm - ball.radius * self.upward(lowest)
                 f = self.force(T[:3, 3] + arm, twist[:3] + Cross(twist[3:], arm))
                 forces.append(Concat(T[:3, :3].T @ f, T[:3, :3].T @ Cross(arm, f)))
             wrenches[name] = functools.reduce(operator.add, forces)
