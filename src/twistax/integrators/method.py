@@ -111,6 +111,10 @@ class Method(ABC):
     def advance(self, field: VectorField, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
         """The stored state after one step of length h. Pure and traceable."""
 
+    def part(self, field: VectorField, t: jax.Array, y: Blocks, h: jax.Array, tolerances: Tolerances | None) -> Blocks:
+        """The step of `advance` as a part of an adaptive step with these tolerances, to a saved time or an event."""
+        return self.advance(field, t, y, h)
+
     @property
     def error_order(self) -> int:
         """The power of the step length with which the estimated error of one step decreases.
@@ -244,6 +248,8 @@ class Stepper:
     #: 1.0, or -1.0 for an integration backward in time; None: forward. Loops over steps run on a clock that goes
     #: forward, the time by the direction.
     direction: Any = None
+    #: The allowed error of adaptive steps of a method that solves equations: parts of steps are solved to these.
+    tolerances: Tolerances | None = None
 
     @property
     def coordinates(self) -> StateCoordinates:
@@ -293,7 +299,7 @@ class Stepper:
     def advance(self, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
         """The stored state after a step of length h."""
         field, t, h = self._in_s(t, h)
-        return self.method.advance(field, t, y, h)
+        return self.method.part(field, t, y, h, self.tolerances)
 
     def follow(self, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array, sampled: bool = False) -> StepAttempt:
         """The step of `advance` after a step that returned `carry`; with `sampled`, also the slopes of the step if it

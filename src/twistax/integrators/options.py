@@ -189,6 +189,8 @@ def plan_of(dynamics: Any, x0: Any, options: Options) -> Plan:
     steps: AdaptiveSteps | FixedSteps
     if options.adaptive:
         steps = _adaptive_steps(dynamics, method, options, Stops.of(limits, start, saves, count), start, events)
+        if method.solves:
+            stepper = dataclasses.replace(stepper, tolerances=steps.tolerances)
     else:
         polynomial = options.between if options.between is Between.POLYNOMIAL else None
         for name, value in (("control", options.control), ("between", polynomial)):

@@ -4,8 +4,7 @@ A contact point is the origin of a frame, and its Jacobian is that of the frame 
 base's axes. The normal of the ground is the base's z axis.
 
 Sources: K. Hunt, F. Crossley, Coefficient of restitution interpreted as damping in vibroimpact, Journal of Applied
-Mechanics (1975), for the normal force. C. Canudas de Wit, H. Olsson, K. Astrom, P. Lischinsky, A new model for control
-of systems with friction, IEEE Transactions on Automatic Control 40 (1995), equations (1) to (3), for the bristles.
+Mechanics (1975), for the normal force.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ import numpy as np
 
 from ..checks import callable_with, number, short
 from ..errors import ModelError
-from ..expr import Concat, Constant, Constraint, Control, Cross, Dot, Expr, Max, Norm, Sqrt, State, to_expr
+from ..expr import Concat, Constant, Constraint, Control, Cross, Dot, Expr, Max, Min, Norm, Sqrt, State, to_expr
 from ..expr.fields import ExprLike
 from ..expr.functions.function import Function
 from ..expr.graph import other_leaves
@@ -31,10 +30,14 @@ from ..system.lower import lower
 from ..view import Capsule, Sphere
 from .algorithms.dynamics import checked
 from .algorithms.jacobians import ALIGNED, frame_twist
+from .algorithms.momentum import total_mass
 from .distances.solids import rounded
 from .kinematic_tree import KinematicTree, Positions
 
 _ZERO = Constant(np.zeros(3))
+
+#: Half of the width of the rounded corner between stiction and sliding, as a share of the limit of friction.
+_ROUNDED = 0.02
 
 
 @dataclasses.dataclass(frozen=True)
@@ -163,45 +166,72 @@ class Ground:
         frames: Collection[str],
         deflection: float = 1e-3,
         damping: float = 20.0,
+        load: float | None = None,
     ) -> Bristles:
-        """Friction with stiction at the origins of frames: a point under a force within the friction cone remains at
+        r"""Friction with stiction at the origins of frames: a point under a force within the friction cone remains at
         rest.
 
-        The bristle z (2,), m, is the elastic deflection of a contact, and d its largest value: $\\dot z = v - |v| z /
-        d$, with the tangential velocity v. The friction force is $f_t = -\\mu n y / max(1, |y|)$ with $y = z / d +
-        \\sigma \\dot z$ and the normal force n. This is the LuGre model with its force projected onto the friction
-        cone. If |z| <= d holds initially, it holds at all times. During sliding at constant velocity the force is $\\mu
-        n$. At rest z is constant, and the point does not creep; with `wrenches` it creeps at a speed of the order of
-        `slip`. A force that oscillates within the cone moves a point slowly. Without contact the bristle still changes,
-        without effect, because n is almost zero. The force follows a varying n at once, so the contacts of a body that
-        rocks can feed its rocking: a block on four corners needs a ground with `damping=2.0` to come to rest.
+        Each contact is a spring with a damper, the bristle, in series with a Coulomb slider. The state z (2,), m, is
+        the deflection of the bristle, v the tangential velocity, n the normal force, $n_0$ the load. The stiffness $k =
+        \mu n_0 / d$ and the damping constant $c = \mu n_0 \sigma$ do not depend on n, only the limit $\mu n$ of the
+        slider does. The friction force and the rate of the bristle are
+
+        $f = -p\,y, \qquad \dot z = p\,v - (1 - p) k z / c, \qquad y = k z + c v, \qquad p = \min(1, \mu n / |y|).$
+
+        **Stiction**: for $|y| \le 0.98\,\mu n$ p is one, $\dot z = v$, and the slider does not move, also if forces
+        oscillate. A point at rest under the force F is displaced by the elastic deflection $F / k$, that is d for $F =
+        \mu n_0$. **Sliding**: at constant velocity $|f| = \mu n$ and $|z| = d\,n / n_0$. Without contact the bristle
+        relaxes with the time constant $\sigma d$. The minimum is rounded between 0.98 and 1.02, so that the force has
+        continuous first derivatives.
+
+        **Passivity**: for any n(t) the power that the point supplies is stored or dissipated, with the storage function
+        $k |z|^2 / 2$. Proof: $-f = k z + c \dot z$ by the definitions, and the slider moves with the velocity $v - \dot
+        z = (1 - p) y / c$. Hence
+
+        $-f \cdot v = \frac{d}{dt} \frac{k |z|^2}{2} + c |\dot z|^2 + p (1 - p) |y|^2 / c,$
+
+        where the last two terms are not negative because $0 \le p \le 1$. A stiffness $\mu n / d$, as in the LuGre
+        model with a force proportional to n, has no such storage function, and feeds the rocking of bodies.
 
         Args:
             mechanism: a tree or a chain.
             frames: names of the frames; the contact points are their origins.
-            deflection: d, m, positive. Small motions have the stiffness mu n / d.
-            damping: sigma, s/m, not negative. 2 / sqrt(mu g d) is the critical damping of a block under its weight.
-        Raises: ModelError: an unknown frame, a ground without friction, or invalid numbers.
+            deflection: d, m, positive: the deflection of a contact with the load that begins to slide.
+            damping: sigma, s/m, positive. 2 / sqrt(mu g d) is the critical damping of a block under its weight.
+            load: n_0, N, positive: a typical normal force of one contact. By default the weight of the mechanism
+                divided by the number of frames.
+        Raises: ModelError: an unknown frame, a ground without friction, no load without gravity, or invalid numbers.
+        Sources: P. Dupont, V. Hayward, B. Armstrong, F. Altpeter, Single state elastoplastic friction models, IEEE
+            Transactions on Automatic Control 47 (2002), for the bristle without creep; L. Romano, O. M. Aamo, J.
+            Aslund, E. Frisk, First-order friction models with bristle dynamics, arXiv:2602.09429 (2026), for the rate
+            from the friction law of the slider.
         Example:
             grip = Ground(friction=0.5).bristles(walker, ["foot"])
             standing = walker.system(controls=[], rates=grip.rates, wrenches=grip.wrenches)
         """
-        number("Ground.bristles: deflection", deflection, "a positive number", lambda a: 0.0 < a < np.inf, ModelError)
-        number("Ground.bristles: damping", damping, "a number not below zero", lambda a: 0.0 <= a < np.inf, ModelError)
+        names = [frames] if isinstance(frames, str) else frames
+        for what, value in (("deflection", deflection), ("damping", damping), ("load", 1.0 if load is None else load)):
+            number(f"Ground.bristles: {what}", value, "a positive number", lambda a: 0.0 < a < np.inf, ModelError)
         if isinstance(frames, Mapping):
             raise ModelError("Ground.bristles expects names of frames, got a dict of shapes.\n  fix: use wrenches")
         if callable(self.height):
             raise ModelError("Ground.bristles expects a level ground, got a height field.\n  fix: use wrenches")
         if not self.friction:
             raise ModelError("Ground.bristles expects a ground with friction, got friction=0.0.\n  fix: use wrenches")
+        gravity = checked("Ground.bristles", mechanism).gravity
+        if load is None and isinstance(gravity, Constant) and not gravity.value.any():
+            raise ModelError("Ground.bristles expects gravity or a load, got neither.\n  fix: pass load=, N")
+        share = total_mass(mechanism) * Norm(gravity) / max(len(names), 1) if load is None else to_expr(float(load))
+        k, c = self.friction * share / deflection, self.friction * share * damping
         result = Bristles({}, {})
-        for name in [frames] if isinstance(frames, str) else frames:
+        for name in names:
             velocity = frame_twist(mechanism, name, axes=ALIGNED)[:3]
             z, v = State(f"bristle_{name}", (2,)), velocity[:2]
-            rate = result.rates[z] = v - Norm(v) * z / deflection
-            bent, normal = z / deflection + damping * rate, self.normal(mechanism.pose(name)[:3, 3], velocity)
-            tangential = (-self.friction) * normal * bent / Max(1.0, Norm(bent))
-            result.wrenches[name] = _at_origin(mechanism, name, None, Concat(tangential, normal))
+            normal, y = self.normal(mechanism.pose(name)[:3, 3], velocity), k * z + c * v
+            # A part of the load keeps the limit positive where the normal force rounds to zero.
+            stuck = _stuck(y, self.friction * (normal + 1e-9 * share))
+            result.rates[z] = stuck * v - (1.0 - stuck) * z / (damping * deflection)
+            result.wrenches[name] = _at_origin(mechanism, name, None, Concat(-stuck * y, normal))
         return result
 
     def normal(self, place: Expr, velocity: Expr) -> Expr:
@@ -228,7 +258,9 @@ class Ground:
         Args:
             frames: names of the frames whose origins touch the ground; or a dict from names to the shape that touches
                 it, a `tx.view.Sphere` or a `Capsule`. A capsule touches the ground with the balls at its two ends. A
-                ball touches a height field along the normal at its centre, which is exact if the ground is plane there.
+                ball touches a height field along the normal at the point that is nearest if the ground is plane below
+                its centre. On ground with the radius of curvature rho the error of the normal's angle is of the order
+                (radius / rho)^2.
         Raises: ModelError for an unknown frame, or a shape that is not supported; ShapeError for positions of another
             shape.
         """
@@ -245,7 +277,10 @@ class Ground:
             forces = []
             for centre in ball.corners @ ball.at[:3, :3].T + ball.at[:3, 3]:
                 arm = T[:3, :3] @ centre
-                arm = arm - ball.radius * self.upward(T[:3, 3] + arm)
+                middle = T[:3, 3] + arm
+                # At the normal of the ground at its contact point: at that of its centre f would turn it.
+                lowest = middle - ball.radius * self.upward(middle)
+                arm = arm - ball.radius * self.upward(lowest)
                 f = self.force(T[:3, 3] + arm, twist[:3] + Cross(twist[3:], arm))
                 forces.append(Concat(T[:3, :3].T @ f, T[:3, :3].T @ Cross(arm, f)))
             wrenches[name] = functools.reduce(operator.add, forces)
@@ -260,3 +295,11 @@ def _at_origin(mechanism: KinematicTree, name: str, q: Positions | None, f: Expr
 def _positive(a: Expr, width: float) -> Expr:
     """(a + sqrt(a^2 + width^2)) / 2."""
     return 0.5 * (a + Sqrt(a * a + width**2))
+
+
+def _stuck(y: Expr, limit: Expr) -> Expr:
+    """min(1, limit / |y|) with continuous first derivatives: p such that p |y| is a parabola between its two lines."""
+    low, high = (1.0 - _ROUNDED) * limit, (1.0 + _ROUNDED) * limit
+    size = Sqrt(Max(Dot(y, y), low * low))
+    bend = Min(size, high) - low
+    return 1.0 - (bend * bend / (4.0 * _ROUNDED * limit) + Max(size - high, 0.0)) / size

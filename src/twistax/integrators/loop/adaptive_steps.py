@@ -100,8 +100,7 @@ class AdaptiveSteps(Steps):
     )
     not_solved = (
         "even in a step of {h:.3g} s: rates jump there, or are not smooth, or their derivatives are not finite",
-        "name times of jumps with jumps=..., or smooth the expression; a step that ends at a saved time, as with "
-        "jumps=save_at, is solved to the tolerance, a part of a step to round-off",
+        "name times of jumps with jumps=..., or smooth the expression; with jumps=save_at steps end at the saved times",
     )
 
     @property

@@ -28,6 +28,8 @@ from .newton import Factors, Parts, combined, newton
 _FEW, _MANY = 8, 200
 #: The share of the allowed error that Newton's method may leave: steps are better than their estimate.
 _SHARE = 0.005
+#: The share that may be left in a part of a step that cannot be rejected, where updates oscillate.
+_ENOUGH = 0.1
 #: Inverses are reused for steps that differ by no more than this share from the step they were computed for,
 _ALIKE = 0.2
 #: and as long as Newton's method converges this fast.
@@ -77,7 +79,9 @@ class ImplicitRKMK(ChartMethod):
       ten times as large. Centred coordinates take about twice as many Newton iterations.
 
     With adaptive steps the equations are solved to a fraction of the tolerance; with fixed steps, saved times and
-    derivatives to round-off. Derivatives are those of the solution, by the implicit function theorem: forward, reverse
+    derivatives to round-off, or, in a part of an adaptive step, to a tenth of the tolerance where corners of the rates
+    let Newton's method oscillate. If it fails, it starts once more with updates that are accelerated by secants.
+    Derivatives are those of the solution, by the implicit function theorem: forward, reverse
     and of second order. A step whose equations cannot be solved is rejected and halved; with fixed steps, or where no
     step is short enough, the integration ends with `Result.NEWTON_FAILED`.
 
@@ -111,14 +115,18 @@ class ImplicitRKMK(ChartMethod):
     solves = True
 
     def advance(self, field: VectorField, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
-        equations = _StageEquations(self, field, t, y, h)
-        return equations.moved(self._solution(equations))
+        return self.part(field, t, y, h, None)
 
-    def _solution(self, equations: _StageEquations) -> jax.Array:
+    def part(self, field: VectorField, t: jax.Array, y: Blocks, h: jax.Array, tolerances: Tolerances | None) -> Blocks:
+        equations = _StageEquations(self, field, t, y, h)
+        return equations.moved(self._solution(equations, tolerances))
+
+    def _solution(self, equations: _StageEquations, tolerances: Tolerances | None) -> jax.Array:
         """The stages, differentiable by the implicit function theorem; NaN if Newton's method fails."""
 
         def solve(residual: Callable[..., Any], guess: jax.Array) -> jax.Array:
-            step = small_call(lambda last: self._to_round_off(equations, last), self._no_last_step(equations.zero))
+            none = self._no_last_step(equations.zero)
+            step = small_call(lambda last: self._to_round_off(equations, last, tolerances), none)
             return jnp.where(step.solved, step.last.Z, jnp.nan)
 
         def tangent_solve(linear: Callable[..., Any], b: jax.Array) -> jax.Array:
@@ -153,14 +161,12 @@ class ImplicitRKMK(ChartMethod):
         self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array, tolerances: Tolerances
     ) -> StepAttempt:
         equations = _StageEquations(self, field, t, y, h)
-        local, read = equations.local, equations.read
         eps = float(jnp.finfo(h.dtype).eps)
         rounding = 10.0 * eps / tolerances.rtol
         share = jnp.maximum(rounding, _SHARE)
 
         def size(dZ: jax.Array) -> jax.Array:
-            squares = jax.vmap(lambda dz: tolerances.mean_square(local, read(dz), y, y))(dZ)
-            return jnp.sqrt(jnp.mean(squares)) / share
+            return equations.error(dZ, tolerances) / share
 
         known: _Reuse = carry
         start = equations.first_slope()
@@ -176,7 +182,7 @@ class ImplicitRKMK(ChartMethod):
         step = self._solved(equations, (start, inverses), factors, size, last, _FEW, rounding / share)
         learned = _Reuse(step.last, inverses, jnp.where(renewed, h, known.h))
         raw = self.tableau.start_weight * h * start + combined([self.tableau.error_weights], list(step.last.Z))[0]
-        errors = (read(factors.damped(raw)),)
+        errors = (equations.read(factors.damped(raw)),)
         evaluations = step.evaluations + renewed.astype(step.evaluations.dtype)
         return StepAttempt(equations.moved(step.last.Z), learned, errors, evaluations, step.solved)
 
@@ -209,21 +215,33 @@ class ImplicitRKMK(ChartMethod):
         last: _Last,
         most: int,
         rounding: Any,
+        **options: Any,
     ) -> _SolvedStep:
         """The stages by Newton's method, until the scaled correction is below 1."""
         guess = self._guess(last, equations.h)
         # A step that cannot be rejected gets a second guess.
         again = most == _MANY
         solved = newton(
-            lambda Z: factors.solve(equations.residual(Z)), size, guess, last.contraction, most, again, rounding
+            lambda Z: factors.solve(equations.residual(Z)),
+            size,
+            guess,
+            last.contraction,
+            most,
+            again,
+            rounding,
+            **options,
         )
         evaluations = 1 + self.tableau.stages * solved.iterations
         # Rates that are NaN at the start are no failure of the equations.
         good = solved.done | ~all_finite(start_values)
         return _SolvedStep(_Last(solved.Z, equations.h, solved.contraction), good, evaluations)
 
-    def _to_round_off(self, equations: _StageEquations, last: _Last) -> _SolvedStep:
-        """The stages, solved to round-off."""
+    def _to_round_off(
+        self, equations: _StageEquations, last: _Last, tolerances: Tolerances | None = None
+    ) -> _SolvedStep:
+        """The stages, solved to round-off; where rates have corners, at least to the share of the tolerances that steps
+        are solved to.
+        """
         local, read, y, h = equations.local, equations.read, equations.y, equations.h
         start, J = equations.start()
         factors = Factors(self.tableau, Factors.inverses_of(self.tableau, J, h))
@@ -243,7 +261,10 @@ class ImplicitRKMK(ChartMethod):
         def size(dZ: jax.Array) -> jax.Array:
             return jnp.sqrt(jnp.mean(jnp.square(jax.vmap(deviation)(dZ) / unit[None, :])))
 
-        return self._solved(equations, (start, J), factors, size, last, _MANY, 1.0)
+        options: dict[str, Any] = {}
+        if tolerances is not None:
+            options["enough"] = lambda dZ: equations.error(dZ, tolerances) < _ENOUGH
+        return self._solved(equations, (start, J), factors, size, last, _MANY, 1.0, **options)
 
 
 class _StageEquations:
@@ -260,6 +281,12 @@ class _StageEquations:
         self.tableau, self.local, self.field = method.tableau, method.coordinates(field.dynamics), field
         self.t, self.y, self.h = t, y, h
         self.zero, self.read = self.local.packed(y, field.dynamics.group)
+
+    def error(self, dZ: jax.Array, tolerances: Tolerances) -> jax.Array:
+        """The root mean square of a difference of stages in units of the allowed error."""
+        y, read = self.y, self.read
+        squares = jax.vmap(lambda dz: tolerances.mean_square(self.local, read(dz), y, y))(dZ)
+        return jnp.sqrt(jnp.mean(squares))
 
     def moved(self, Z: jax.Array) -> Blocks:
         """The stored state at the end of the step."""

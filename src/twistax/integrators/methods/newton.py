@@ -25,6 +25,45 @@ Map: TypeAlias = Callable[[jax.Array], jax.Array]
 #: Larger matrices are solved by a library.
 _LARGEST = 24
 
+#: Secants of accelerated updates, and the growth of an update that deletes them.
+_SECANTS, _GROWN = 4, 3.0
+
+
+class _Secants(NamedTuple):
+    """Differences of updates, orthonormal, and of Z: rows (n, s, N), zero where there is none yet."""
+
+    updates: jax.Array
+    steps: jax.Array
+    used: jax.Array  # the number of rows
+    update: jax.Array  # the last one
+    step: jax.Array
+
+    @classmethod
+    def none(cls, update: jax.Array) -> _Secants:
+        """No secants, after a first step."""
+        rows = jnp.zeros((_SECANTS, *update.shape), update.dtype)
+        return cls(rows, rows, jnp.zeros((), int), update, -update)
+
+    def accelerated(self, update: jax.Array, clear: jax.Array) -> tuple[jax.Array, _Secants]:
+        """The step for an update: by the secants in their span, the update beside it."""
+        clear = clear | (self.used == _SECANTS)
+        used = jnp.where(clear, 0, self.used)
+        updates, steps = (jnp.where(clear, 0.0, rows) for rows in (self.updates, self.steps))
+        new, moved = update - self.update, self.step
+        size = jnp.sum(new * new)
+        for q, p in zip(updates, steps, strict=True):
+            share = jnp.sum(q * new)
+            new, moved = new - share * q, moved - share * p
+        square = jnp.sum(new * new)
+        good = square > jnp.finfo(square.dtype).eps * size
+        scale = jnp.where(good, 1.0 / jnp.sqrt(jnp.where(good, square, 1.0)), 0.0)
+        here = (jnp.arange(_SECANTS) == used)[:, None, None]
+        updates, steps = jnp.where(here, scale * new, updates), jnp.where(here, scale * moved, steps)
+        step = update
+        for q, p in zip(updates, steps, strict=True):
+            step = step - jnp.sum(q * update) * (q - p)
+        return step, _Secants(updates, steps, used + good.astype(used.dtype), update, -step)
+
 
 class Newton(NamedTuple):
     """The state and the result of Newton's method."""
@@ -39,10 +78,18 @@ class Newton(NamedTuple):
     #: r / (1 - r), r the ratio of the last two updates: the error of Z in units of the last update.
     contraction: jax.Array
     again: jax.Array  # whether it may start once more
+    secants: _Secants | None  # of a second try; None where there is none
 
 
 def newton(
-    update: Map, size: Map, guess: jax.Array, contraction: jax.Array, most: int, again: bool, rounding: Any
+    update: Map,
+    size: Map,
+    guess: jax.Array,
+    contraction: jax.Array,
+    most: int,
+    again: bool,
+    rounding: Any,
+    enough: Map = lambda step: jnp.asarray(False),
 ) -> Newton:
     """The iteration Z <- Z - update(Z) from a guess, until the scaled correction is below 1. Pure and traceable.
 
@@ -50,9 +97,12 @@ def newton(
     1e3 times `rounding`, the equations count as solved. `size` is the size of an update in units of the tolerance,
     `contraction` the contraction factor of the last solution. `again`: whether no shorter step can be tried. Then
     updates that oscillate below the root of round-off are accepted, and if the guess fails, Newton's method starts once
-    more from zero.
+    more from zero, with updates that are accelerated by secants: where rates have corners, the Jacobian at the start of
+    the step is wrong on their other side. In this second try updates may grow, and those that oscillate are accepted
+    if they are small enough by `enough`.
 
-    Source: Hairer, Wanner, Solving Ordinary Differential Equations II (1996), section IV.8, on stopping.
+    Source: Hairer, Wanner, Solving Ordinary Differential Equations II (1996), section IV.8, on stopping; D. G.
+    Anderson, Iterative procedures for nonlinear integral equations, Journal of the ACM 12 (1965), for the secants.
     """
 
     def iterate(now: Newton) -> Newton:
@@ -64,20 +114,34 @@ def newton(
         left = jnp.where(later, ratio / jnp.where(growing, 1.0, 1.0 - ratio), jnp.maximum(now.contraction, eps) ** 0.8)
         done = (size_now == 0.0) | jnp.where(growing, size_now < _STALLED * rounding, left * size_now < 1.0)
         rises = now.rises + (growing & ~now.rose).astype(now.rises.dtype)
-        wavers = again & (size_now < rounding / eps**0.5)
+        second = again & ~now.again
+        wavers = again & ((size_now < rounding / eps**0.5) | (second & enough(step)))
         done = done | (wavers & growing & (rises >= _RISES))
-        failed = ~jnp.isfinite(size_now) | (growing & ~done & ~wavers)
+        failed = ~jnp.isfinite(size_now) | (growing & ~done & ~wavers & ~second)
+        restart = (failed | (~done & (now.iterations >= most // 4))) & now.again
+        secants = now.secants
+        if secants is not None:
+            step, secants = jax.lax.cond(
+                second & later,
+                _Secants.accelerated,
+                lambda _, u, clear: (u, _Secants.none(u)),
+                secants,
+                step,
+                ratio > _GROWN,
+            )
         Z = now.Z - step
-        restart = failed & now.again
         if again:
             Z, size_now = jnp.where(restart, 0.0, Z), jnp.where(restart, 0.0, size_now)
         contraction = jnp.where(failed, 1.0, left)
         count, again_left = now.iterations + 1, now.again & ~restart
-        return Newton(Z, size_now, done & ~failed, failed & ~restart, count, growing, rises, contraction, again_left)
+        return Newton(
+            Z, size_now, done & ~failed, failed & ~restart, count, growing, rises, contraction, again_left, secants
+        )
 
     eps = float(jnp.finfo(guess.dtype).eps)
-    no, none = jnp.asarray(False), jnp.zeros((), int)
-    start = Newton(guess, jnp.zeros((), guess.dtype), no, no, none, no, none, contraction, jnp.asarray(again))
+    no, none, zero = jnp.asarray(False), jnp.zeros((), int), jnp.zeros((), guess.dtype)
+    secants = _Secants.none(guess) if again else None
+    start = Newton(guess, zero, no, no, none, no, none, contraction, jnp.asarray(again), secants)
     return jax.lax.while_loop(lambda n: ~n.done & ~n.failed & (n.iterations < most), iterate, start)
 
 

@@ -56,7 +56,10 @@ class Projected(Method):
         self.inner.coordinates(dynamics)  # raises for a method without them
 
     def advance(self, field: VectorField, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
-        return self._brought_back(field, t + h, self.inner.advance(field, t, y, h))
+        return self.part(field, t, y, h, None)
+
+    def part(self, field: VectorField, t: jax.Array, y: Blocks, h: jax.Array, tolerances: Tolerances | None) -> Blocks:
+        return self._brought_back(field, t + h, self.inner.part(field, t, y, h, tolerances))
 
     def follow(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> StepAttempt:
         attempt = self.inner.follow(field, t, y, carry, h)
