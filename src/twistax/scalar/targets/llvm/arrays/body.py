@@ -6,7 +6,7 @@ import contextlib
 import dataclasses
 import functools
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -166,21 +166,20 @@ class ArrayBody(KernelBody):
 
 
 class CalledLoops(InKernels):
-    """A function of matrices that kernels of scalar programs call, for one member at a time."""
+    """A function of matrices that kernels of scalar programs call.
 
-    def __init__(self, form: ArrayForm) -> None:
-        self._body = ArrayBody(form, 1)
+    Args:
+        make: makes its kernel, for one member at a time; None where there is none.
+    """
 
-    def text(self, module: Module, name: str) -> str:
-        """The function in LLVM's language, of the addresses of all arguments and results."""
-        code, body = Code(module, 1), self._body
-        every = {f"a{k}": array for k, array in enumerate(body.arguments)}
-        every |= {f"r{k}": array for k, array in enumerate(body.results)}
-        body.body(code, {key: Rows(code, array, [f"%{key}"]) for key, array in every.items()})
-        return code.function(f"internal void @{name}({', '.join(f'ptr noalias %{key}' for key in every)})")
+    def __init__(self, form: ArrayForm, make: Callable[[], Any]) -> None:
+        self._body, self._make = ArrayBody(form, 1), make
+
+    @functools.cached_property
+    def kernel(self) -> Any:
+        return self._make()
 
     def plain(self, arguments: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
-        """All results by JAX, for rows of arguments."""
         return self._body.plain(arguments)
 
 
