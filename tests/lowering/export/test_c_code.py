@@ -293,7 +293,6 @@ HULL = ConvexPolytope(np.random.default_rng(0).normal(0.0, 0.3, (8, 3)))
     ("other", "dtype"),
     [
         (Capsule(0.1, 0.6), np.float64),
-        pytest.param(Box((0.3, 0.4, 0.5)), np.float64, marks=pytest.mark.thorough),
         *(
             pytest.param(other, dtype, marks=pytest.mark.slow)
             for other in (Box((0.3, 0.4, 0.5)), Cylinder(0.3, 0.5), HULL, Sphere(0.1))
