@@ -177,6 +177,12 @@ def test_derivatives(function: Callable[..., Any]) -> None:
     close(tx.fast(inside)(A, XS), jax.jit(inside)(A, XS), 1e-10)
 
 
+def test_rows_that_a_loop_saves_stay_arrays() -> None:
+    """The size of a derivative's program does not grow with the iterations: XLA would take minutes to compile it."""
+    batched = scalar(tx.fast(jax.vmap(functools.partial(counted, length=701), (None, 0))))
+    assert jax.jit(jax.grad(batched, (0, 1))).lower(A, XS).as_text().count("slice") < 200
+
+
 def test_derivatives_where_members_meet() -> None:
     plan, noise, x = jnp.zeros(50), jnp.asarray(RANDOM.normal(size=(ROWS, 50))), jnp.array([0.3, 0.0])
     slopes = [

@@ -18,16 +18,16 @@ import twistax as tx
 from twistax.mechanics import ConvexPolytope, signed_distance
 from twistax.report.sections import cops, flights, problems
 from twistax.trajectory import Collocation, Controller, GaussNewton, Linear, Mesh, Problem, Spline
-from twistax.view import Capsule
+from twistax.view import Cylinder
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")]
 
 
 def past_a_polytope() -> Problem:
-    """A capsule that flies past a polytope; the search for the nearest features is a loop in C."""
+    """A cylinder that flies past a polytope; the search for the nearest features has loops in branches."""
     T, V = tx.State("T", group=tx.SE3), tx.Control("V", shape=(6,))
     hull = ConvexPolytope(np.random.default_rng(0).normal(size=(8, 3)))
-    clear = signed_distance(Capsule(0.1, 0.4), hull, T) >= 0.1
+    clear = signed_distance(Cylinder(0.1, 0.4), hull, T) >= 0.1
     start, end = (
         np.block([[np.eye(3), np.array(p)[:, None]], [np.zeros((1, 3)), 1.0]])
         for p in ([-3.0, 0.1, 0.0], [3.0, 0.2, 0.3])
@@ -70,7 +70,7 @@ PROBLEMS: dict[str, Callable[[], Problem]] = {
     "linear control": smooth,
     "linear control with a limit of its rate": lambda: problems.cart_pole(nodes=21, controls=Linear(rate=100.0)),
     "spline on SO(3)": lambda: Problem(**pointing().stated | {"controls": Spline(2)}),
-    "capsule past a polytope": past_a_polytope,
+    "cylinder past a polytope": past_a_polytope,
     "free node times": lambda: problems.brachistochrone(nodes=Mesh(12, free=True)),
 }
 
@@ -116,7 +116,7 @@ def below_a_cone() -> Problem:
 #: Not among them: rendezvous, whose norms have a kink where the force vanishes; the landing, whose positions of 30 km
 #: are known to some millimetres; Panda and catalyst mixing, whose optima are flat; the polytope, whose distance has
 #: kinks (not solved in single precision, with statuses 3 and 5).
-_NOT_IN_SINGLE = ("rendezvous", "landing", "Panda", "catalyst", "capsule")
+_NOT_IN_SINGLE = ("rendezvous", "landing", "Panda", "catalyst", "cylinder")
 IN_SINGLE = [name for name in PROBLEMS if not name.startswith(_NOT_IN_SINGLE)]
 
 

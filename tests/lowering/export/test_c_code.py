@@ -27,7 +27,7 @@ from scipy.interpolate import CubicSpline, RegularGridInterpolator
 
 import twistax as tx
 from twistax.mechanics import ConvexPolytope, signed_distance
-from twistax.view import Sphere
+from twistax.view import Box, Capsule, Cylinder, Sphere
 
 
 @pytest.fixture(scope="module")
@@ -254,18 +254,66 @@ def test_loops_of_unknown_length(tmp_path: Path) -> None:
 
 
 @needs_compiler
-def test_the_distance_to_a_polytope(tmp_path: Path) -> None:
-    """The search for its nearest corners is a loop."""
-    T, V = tx.State("T", group=tx.SE3), tx.Control("V", shape=(6,))
-    hull = ConvexPolytope(np.random.default_rng(0).normal(size=(8, 3)))
-    distance = signed_distance(Sphere(0.1), hull, T)
-    dynamics = tx.compile(tx.System(rates={T: V}, outputs={"d": distance}))
-    library, at = Library(dynamics.to_c(tmp_path, jacobian=()).source), tx.lower(distance)
-    for place in ([3.0, 0.5, 0.2], [0.3, -4.0, 1.0], [0.0, 0.1, 0.0]):
-        pose = np.eye(4)
-        pose[:3, 3] = place
-        (d,) = library.call("dynamics_outputs", [0.0, pose, np.zeros(6)], [()])
-        assert float(d) == pytest.approx(float(at(0.0, {"T": pose})), abs=1e-14)
+def test_loops_and_branches_in_each_other(tmp_path: Path) -> None:
+    """Entries that swap their places, rows of a scan in reverse, a loop in a branch, and results that nothing reads."""
+    weights = jnp.asarray([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]])
+
+    def row(carried: Any, row: Any) -> Any:
+        a, b, count = carried
+
+        def halved() -> jax.Array:
+            return jax.lax.while_loop(lambda s: s > 1.0, lambda s: 0.5 * s, a * row[1])
+
+        new = jax.lax.cond(a > 2.0, halved, lambda: a + row[0])
+        return (b, new, count + 1), jnp.stack([a, new])
+
+    def function(v: jax.Array) -> jax.Array:
+        def outer(state: Any) -> Any:
+            k, a, b, rows, _ = state
+            (a, b, _), rows = jax.lax.scan(row, (a, b, 0), weights, reverse=True)
+            return k + 1, b, a, rows, a
+
+        start = (0, v, 0.1 * v, jnp.zeros((3, 2)), v)
+        _, a, b, rows, _ = jax.lax.while_loop(lambda s: s[0] < 3, outer, start)
+        return jnp.concatenate([jnp.stack([a, b]), rows.reshape(-1)])
+
+    v, y = tx.State("v"), tx.State("y", shape=(8,))
+    dynamics = tx.compile(tx.System(rates={v: 0.0, y: tx.Function(function, (8,))(v)}), backend=tx.JAX())
+    library = Library(dynamics.to_c(tmp_path, jacobian=(), points=[(0.0, {"v": 1.0, "y": np.zeros(8)})]).source)
+    for value in (-3.0, 0.7, 2.5, 40.0):
+        _, rate = library.call("dynamics_rates", [0.0, np.array(value), np.zeros(8)], [(), (8,)])
+        np.testing.assert_allclose(rate, function(jnp.asarray(value)), rtol=1e-14)
+
+
+HULL = ConvexPolytope(np.random.default_rng(0).normal(0.0, 0.3, (8, 3)))
+
+
+@needs_compiler
+@pytest.mark.parametrize(
+    ("other", "dtype"),
+    [
+        (Capsule(0.1, 0.6), np.float64),
+        *(
+            pytest.param(other, dtype, marks=pytest.mark.slow)
+            for other in (Box((0.3, 0.4, 0.5)), Cylinder(0.3, 0.5), HULL, Sphere(0.1))
+            for dtype in (np.float64, np.float32)
+        ),
+    ],
+)
+def test_distances(other: Any, dtype: Any, tmp_path: Path) -> None:
+    """The search for the nearest features is a function, which values and derivatives call."""
+    T, V, rng = tx.State("T", group=tx.SE3), tx.Control("V", shape=(6,)), np.random.default_rng(1)
+    distance = signed_distance(HULL if isinstance(other, Sphere) else Cylinder(0.2, 0.7), other, T)
+    dynamics = tx.compile(tx.System(rates={T: V * distance}, outputs={"d": distance}))
+    moves = [np.concatenate([rng.normal(size=3) * size, rng.normal(size=3)]) for size in (0.15, 0.8) * 2]
+    points = [(0.0, {"T": np.asarray(tx.SE3.exp(move))}, {"V": np.ones(6)}) for move in moves]
+    tolerance = 1e-12 if dtype == np.float64 else 1e-5
+    files = dynamics.to_c(tmp_path, jacobian=("x",), dtype=dtype, points=points, tolerance=tolerance)
+    assert files.source.read_text().count("static void function_") == 1
+    program = str(tmp_path / "test")
+    built = run([COMPILERS[0], *STRICT, *STRICTER, "-O1", str(files.source), str(files.test), "-lm", "-o", program])
+    assert built.returncode == 0, built.stderr
+    assert run([program]).returncode == 0
 
 
 def test_what_has_no_scalars_is_named(tmp_path: Path) -> None:

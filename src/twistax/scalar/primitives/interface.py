@@ -93,15 +93,16 @@ class Reader(Protocol):
 
 
 class InKernels(ABC):
-    """A function without derivatives that stays a call, whose key it is, and that kernels write and call."""
+    """A function without derivatives that stays a call, whose key it is, and whose kernel other kernels call."""
 
+    @property
     @abstractmethod
-    def text(self, module: Any, name: str) -> str:
-        """The function in LLVM's language, of the addresses of all arguments and results."""
+    def kernel(self) -> Any:
+        """The kernel, made once; None if there is none."""
 
     @abstractmethod
     def plain(self, arguments: Sequence[Any]) -> list[Any]:
-        """All results by JAX, for rows of arguments."""
+        """All results without the kernel, for rows of arguments."""
 
 
 def kernel_of(call: Any) -> InKernels | None:

@@ -16,7 +16,7 @@ from ...jax_inside import Unread, all_equations, closed, expansion, scan_parts
 from ...progress import say_once
 from .arithmetic import CONTRACTION, ELEMENTWISE, LINEAR_ALGEBRA
 from .entry import Entry, Read, moving
-from .interface import Nodes, Reader, each, flat, nodes
+from .interface import Nodes, Reader, each, flat, kernel_of, nodes
 from .movement import INDEXING, MOVEMENT
 from .norms import NORM
 from .operations import OPERATIONS, on
@@ -71,7 +71,10 @@ def _scan(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
     fixed, carried = scan_parts(eqn)
     consts, carry, inputs = arrays[:fixed], list(arrays[fixed : fixed + carried]), arrays[fixed + carried :]
     rows: list[list[Nodes]] = []
+    before = len(reader.graph.calls)
     for k in reversed(range(length)) if p["reverse"] else range(length):
+        if rows and not reader.keeps_calls and not all(c.inline or kernel_of(c) for c in reader.graph.calls[before:]):
+            return None  # emitters with loops write it as one, with the calls inside
         results = reader.read(body, [*consts, *carry, *(np.asarray(a[k]) for a in inputs)])
         carry = results[:carried]
         rows.append(results[carried:])

@@ -14,7 +14,7 @@ from jax import lax
 
 from ...jax_inside import jaxpr_as_fun
 from ..graph import OpaqueCall, ScalarGraph
-from ..primitives.interface import flat
+from ..primitives.interface import Nodes, flat
 from ..primitives.operations import OPERATIONS
 from ..program import ScalarProgram, called_names
 from ..reader import emitted_form
@@ -84,12 +84,15 @@ def as_function(
     form = emitted_form(program)
     g = form.graph
     steps = _steps(form)
+    # Arrays that are moved as they are stay arrays: of long rows XLA would compile each entry.
+    parts = [_part(g, nodes) for nodes in form.outputs]
+    rest = form.restricted([nodes for nodes, part in zip(form.outputs, parts, strict=True) if part is None])
 
     def function(*arguments: jax.Array) -> list[jax.Array]:
         # Barriers: else XLA recomputes shared values for each entry of an array.
         entries = lax.optimization_barrier([jnp.reshape(a, -1) for a in arguments])
         values: dict[int, jax.Array] = {}
-        for i in form.live:
+        for i in rest.live:
             place = g.input_of(i)
             if place is not None:
                 values[i] = lax.index_in_dim(entries[place[0]], place[1], keepdims=False)
@@ -111,11 +114,26 @@ def as_function(
                 for nodes, result in zip(step.results, results, strict=True):
                     row = jnp.reshape(result, -1)
                     values.update({j: row[k] for k, j in enumerate(flat(nodes))})
-        needed = sorted(set(form.flat))
+        needed = sorted(set(rest.flat))
         values.update(zip(needed, lax.optimization_barrier([values[i] for i in needed]), strict=True))
-        return lax.optimization_barrier(list(map(array, form.outputs, form.types)))
+        results = [
+            array(nodes, dtype)
+            if part is None
+            else jnp.reshape(lax.slice_in_dim(entries[part[0]], part[1], part[1] + nodes.size), nodes.shape)
+            for nodes, dtype, part in zip(form.outputs, form.types, parts, strict=True)
+        ]
+        return lax.optimization_barrier(results)
 
     return function
+
+
+def _part(g: ScalarGraph, nodes: Nodes) -> tuple[int, int] | None:
+    """The argument and its first entry of which an array has some entries in their order; None for other arrays."""
+    places = [g.input_of(i) for i in flat(nodes)]
+    first = places[0] if len(places) > 1 else None
+    if first is None or places != [(first[0], first[1] + k) for k in range(len(places))]:
+        return None
+    return first
 
 
 def without_barriers(program: ScalarProgram) -> Callable[..., list[jax.Array]]:

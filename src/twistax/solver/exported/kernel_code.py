@@ -8,12 +8,12 @@ from typing import Any
 from numpy import ndarray as Array
 
 from ...errors import ModelError, TrajectoryError
-from ...scalar.primitives.table_load import Table
 from ...scalar.program import ScalarProgram, called_names
 from ...scalar.reader import emitted_form
 from ...scalar.targets.c import CType, c_type
-from ...system.export.c_code import Lines, numbers
-from ...system.export.programs import LIMITS, foreign_calls
+from ...system.export.c_code import numbers
+from ...system.export.control_flow import LIMITS, foreign_calls
+from ...system.export.statements import Definitions, Statements
 from ...system.hessian import REFUSALS
 from ..kernels import Argument, BatchKernel, ScalarForm
 from .shared_functions import SharedFunctions
@@ -36,7 +36,7 @@ class KernelCode:
     def __init__(self, real: CType) -> None:
         self._real = real
         self.functions, self.operations = list[str](), dict[str, int]()
-        self._tables, self._functions = dict[Table, None](), dict[str, str]()
+        self._definitions, self._functions = Definitions(), dict[str, str]()
 
     def structure(self, kernel: BatchKernel | None, what: str) -> str:
         """The initialiser of a `twx_kernel`.
@@ -92,7 +92,7 @@ class KernelCode:
             return NO_KERNEL
         program, arguments, values = form
         name = f"kernel_{len(self.operations)}_{what}"
-        used, text = _function(name, program, self._real.name, self._tables)
+        used, text = _function(name, program, self._real.name, self._definitions)
         function = self._functions.setdefault(text.replace(name, ""), name)
         if function == name:
             self.functions.append(text)
@@ -106,18 +106,20 @@ class KernelCode:
 
     @property
     def text(self) -> str:
-        """All functions, after the tables that they load from."""
-        tables = [numbers(table.name, table.numbers(self._real.dtype), self._real) for table in self._tables]
-        return "\n".join([*tables, *self.functions])
+        """All functions, after the tables and functions that they need."""
+        tables = [
+            numbers(table.name, table.numbers(self._real.dtype), self._real) for table in self._definitions.tables
+        ]
+        return "\n".join([*tables, *self._definitions.functions, *self.functions])
 
 
 def _reading(functions: SharedFunctions, form: ScalarForm) -> ScalarForm:
     return form._replace(program=functions.read_by(form.program), arguments=[*form.arguments, Argument.SHARED])
 
 
-def _function(name: str, program: ScalarProgram, real: str, tables: dict[Table, None]) -> tuple[list[int], str]:
-    """The arguments that are read, and the text; tables that it loads from are added."""
-    lines, used = Lines(tables), list[int]()
+def _function(name: str, program: ScalarProgram, real: str, definitions: Definitions) -> tuple[list[int], str]:
+    """The arguments that are read, and the text; the tables and functions that it needs are added."""
+    lines, used = Statements(definitions), list[int]()
 
     def entry(argument: int, place: int) -> str:
         if argument not in used:

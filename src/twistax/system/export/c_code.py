@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from string import Template
 from typing import Any
@@ -12,15 +12,10 @@ from typing import Any
 from numpy.typing import NDArray
 
 from ...errors import ModelError
-from ...scalar.graph import OpaqueCall, ScalarGraph
 from ...scalar.kernel_cache import version
-from ...scalar.primitives.entry import Operation
-from ...scalar.primitives.interface import Nodes, flat
-from ...scalar.primitives.table_load import Table
-from ...scalar.program import ScalarProgram
-from ...scalar.targets.c import CType, c_type, expression
-from .programs import LIMITS, ExportedFunction, Exporter, Port
-from .while_loop import WhileLoop
+from ...scalar.targets.c import CType, c_type
+from .programs import ExportedFunction, Exporter, Port
+from .statements import Definitions, Statements
 
 #: How every file begins, by which files that may be replaced are known.
 MARK = "/* Written by twistax"
@@ -109,9 +104,9 @@ class CCode:
 
     def source(self) -> str:
         """The text of the source file."""
-        tables: dict[Table, None] = {}
+        definitions = Definitions()
         bodies = [
-            f"{self._head(function)}\n{{\n{body(function, self.exporter.arguments, self.names, tables)}}}\n"
+            f"{self._head(function)}\n{{\n{body(function, self.exporter.arguments, self.names, definitions)}}}\n"
             for function in self.functions
         ]
         bodies += [loop.text for loop in self._loops()]
@@ -119,7 +114,8 @@ class CCode:
             f'{mark()}. The call convention stands in {self.name}.h. */\n#include "{self.name}.h"\n\n'
             "#include <math.h>\n#include <stdbool.h>\n#include <stdint.h>\n#include <string.h>\n",
             "".join(f"{head} = {{{values}}};\n" for head, values in self._defaults().items()),
-            *(numbers(table.name, table.numbers(self.real.dtype), self.real) for table in tables),
+            *(numbers(table.name, table.numbers(self.real.dtype), self.real) for table in definitions.tables),
+            *definitions.functions,
             *bodies,
         ]
         return "\n".join(part for part in parts if part)
@@ -219,85 +215,21 @@ class StepLoop:
         return f"{self.head}\n{{\n" + "".join(f"    {line}\n" for line in lines) + "}\n"
 
 
-class Lines:
-    """The lines of a function: values have numbers, in the order in which they are computed.
-
-    Args:
-        tables: to which those that it reads are added.
-    """
-
-    def __init__(self, tables: dict[Table, None]) -> None:
-        self.lines: list[str] = []
-        self._tables = tables
-        self._values = self._loops = 0
-
-    def computed(self, program: ScalarProgram, entry: Callable[[int, int], str]) -> dict[int, str]:
-        """Add the lines that compute a program, and name the values of its nodes.
-
-        Raises:
-            ModelError: a type that C has not, or has no such operation of.
-        """
-        g = program.graph
-        self._tables.update(dict.fromkeys(program.tables))
-
-        def operation(operation: Operation, node: int, *values: str) -> str:
-            result_type, argument_type = c_type(g.dtypes[node]), c_type(g.dtypes[g.arguments(node)[-1]])
-            value = expression(operation, argument_type, result_type, values)
-            self._values += 1
-            self.lines.append(f"const {result_type.name} v{self._values - 1} = {value};")
-            return f"v{self._values - 1}"
-
-        def loop(call: OpaqueCall, values: Mapping[int, str]) -> dict[int, str]:
-            return self._looped(call, g, values)
-
-        return program.computed(entry, lambda value, dtype: c_type(dtype).literal(value), operation, loop)
-
-    def _looped(self, call: OpaqueCall, g: ScalarGraph, values: Mapping[int, str]) -> dict[int, str]:
-        """Add a `while_loop`, whose state is in arrays."""
-        loop, number = WhileLoop.of(call, g, LIMITS), self._loops
-        self._loops += 1
-        state = [
-            [f"w{number}_{k}[{j}]" if value is None else c_type(kind).literal(value) for j, value in enumerate(known)]
-            for k, (kind, known) in enumerate(zip(loop.types, loop.numbers, strict=True))
-        ]
-        for k, (kind, known, first) in enumerate(zip(loop.types, loop.numbers, loop.start, strict=True)):
-            varying = [j for j, value in enumerate(known) if value is None]
-            self.lines += [f"{c_type(kind).name} w{number}_{k}[{len(known)}];"] if varying else []
-            start = [values.get(i) or c_type(kind).literal(g.numbers[i]) for i in flat(first)]
-            self.lines += [f"{state[k][j]} = {start[j]};" for j in varying]
-        before, self.lines = self.lines, []
-
-        def reader(fixed: Sequence[Nodes]) -> Callable[[int, int], str]:
-            arrays = [*([values.get(i, "") for i in flat(array)] for array in fixed), *state]
-            return lambda argument, place: arrays[argument][place]
-
-        (going,) = flat(*loop.condition.outputs)
-        flag = self.computed(loop.condition, reader(loop.fixed[0]))[going]
-        self.lines.append(f"if (!{flag}) break;")
-        after, written = self.computed(loop.iteration, reader(loop.fixed[1])), flat(*loop.iteration.outputs)
-        entries = [name for names in state for name in names]
-        known = [value for values in loop.numbers for value in values]
-        changed = zip(entries, written, known, strict=True)
-        self.lines += [f"{name} = {after[i]};" for name, i, value in changed if value is None]
-        self.lines = [*before, "for (;;) {", *(f"    {line}" for line in self.lines), "}"]
-        return dict(zip(flat(*call.results), entries, strict=True))
-
-
 def body(
     function: ExportedFunction,
     arguments: Sequence[Port],
     names: Mapping[Port, str],
-    tables: dict[Table, None] | None = None,
+    definitions: Definitions | None = None,
 ) -> str:
     """The lines of a function.
 
     Args:
-        tables: to which those that it reads are added.
+        definitions: to which the tables and functions that it needs are added.
     Raises:
         ModelError: a type that C does not have, or that lacks an operation.
     """
     program, g, every = function.program, function.program.graph, [*arguments, *function.extra]
-    lines = Lines({} if tables is None else tables)
+    lines = Statements(definitions or Definitions())
     used: set[int] = set()
 
     def entry(argument: int, place: int) -> str:

@@ -13,15 +13,11 @@ import numpy as np
 
 from ...errors import ModelError
 from ...expr import Inputs
-from ...scalar.graph import Limits, OpaqueCall
 from ...scalar.program import ScalarProgram, called_names
 from ...scalar.reader import emitted_form, scalarize
 from ..functions import Functions
 from ..jacobian import blocks_in_arrays
-from .while_loop import is_while
-
-#: LU with pivots is unrolled up to the size that Cholesky is.
-LIMITS = Limits(pivoted=12, table=256, equations=100_000, functions=False)
+from .control_flow import LIMITS, foreign_calls
 
 #: Of steps with which references are computed, in units of time.
 TEST_STEP = 2.0**-7
@@ -64,7 +60,7 @@ class Exporter:
 
     Arguments of all of them are the time, the states, the controls and the parameters, in the order of declaration.
     `checked` is as for `tx.XLA`: 0 x, 0 / x and x - x, which differ from zero if x is not finite, are not simplified.
-    Controls named in `without` are omitted. `loops` is whether the language has `while` loops.
+    Controls named in `without` are omitted. `loops` is whether the language has loops.
     """
 
     def __init__(
@@ -154,11 +150,6 @@ class Exporter:
         return dataclasses.replace(exported_function, results=kept, extra=tuple(extra), trial=tuple(extra.values()))
 
 
-def foreign_calls(form: ScalarProgram, loops: bool) -> list[OpaqueCall]:
-    """The calls of a program in emitted form that a language cannot have; `loops`: whether it has `while` loops."""
-    return [call for call in form.calls if not (loops and is_while(call))]
-
-
 def exported(
     name: str,
     kind: str,
@@ -167,8 +158,8 @@ def exported(
     arrays: Callable[..., list[jax.Array]],
     loops: bool = False,
 ) -> ExportedFunction:
-    """A function with all calls inlined, without empty results; with `loops` also with `while` loops."""
-    form = emitted_form(program, limits=LIMITS)
+    """A function with all calls inlined, without empty results; with `loops` loops and branches with loops stay."""
+    form = emitted_form(program, limits=dataclasses.replace(LIMITS, functions=loops))
     if foreign := foreign_calls(form, loops):
         first = "an explicit method for steps, or " if name == "step" else ""
         raise ModelError(

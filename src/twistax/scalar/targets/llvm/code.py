@@ -60,10 +60,9 @@ class Module:
         self.packed = 0
         #: Functions of the C library that are called.
         self.library: set[str] = set()
-        #: The names of functions of matrices that are called.
-        self.called: dict[Any, str] = {}
-        #: The addresses of functions of other modules.
+        #: The addresses of functions of other modules, and the code that they belong to.
         self.addresses: dict[str, int] = {}
+        self.called: list[Any] = []
 
     def numbers(self, array: np.ndarray[Any, Any]) -> str:
         """The pointer to the numbers of an array, one after the other."""

@@ -63,6 +63,7 @@ class HostCodeHandle:
         if written is None:
             written = self._unchecked = compiled(text, module.processor, module.long, bool(module.packed))
         self.code = load(written, module.library, module.processor, names, module.addresses, module.groups)
+        self.code.called = module.called
 
     @property
     def checked(self) -> bool:

@@ -98,7 +98,10 @@ class MachineCode:
 
     Attributes:
         addresses: of functions and variables, by name.
+        called: other code that it calls, which lives as long.
     """
+
+    called: Sequence[Any] = ()
 
     def __init__(self, engines: Sequence[Any], names: Collection[str]) -> None:
         self._engines = engines

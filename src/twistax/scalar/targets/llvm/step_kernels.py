@@ -16,7 +16,7 @@ from ...graph import TooLarge
 from ...jax_primitive import PLATFORMS, Derived, Differentiable, call_program
 from ...loops import Looped, MakeKernel, Repeated, Ring, decides, repeating
 from ...program import Rows, ScalarProgram
-from .arrays.body import CalledLoops, array_form
+from .arrays.body import ArrayBody, CalledLoops, array_form
 from .code import NotNative
 from .iterations import Iterations
 from .kernel_body import NATIVE_LIMITS, native_form
@@ -88,7 +88,9 @@ class StepKernels(StepCompiler):
     def constant(self, function: Step, shapes: Shapes) -> KernelOfArrays | None:
         program = self.of_matrices(function, shapes, True)
         if program is not None:
-            program.inside_kernels = CalledLoops(array_form(program.program, self.scalars.checked, True))
+            form = array_form(program.program, self.scalars.checked, True)
+            make = functools.partial(self.runner.built, ArrayBody, form, (), True, "cpu")
+            program.inside_kernels = CalledLoops(form, make)
         return program
 
     def shared(self, function: Step, shapes: Shapes) -> Derived | None:

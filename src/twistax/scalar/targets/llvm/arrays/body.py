@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import functools
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -28,6 +30,7 @@ from .entrywise import Lazy, Value, broadcast, number
 from .equations import WRITERS
 from .matrices import MatrixWriter
 from .memory import View, steps
+from .numpy_reference import NoReference, NumpyReference
 
 #: Arrays of at most so many entries are scalars.
 _SMALL = 16
@@ -136,6 +139,10 @@ class ArrayBody(KernelBody):
         else:
             code.lines += [f"{writer.scratch} = alloca [{max(writer.size, 1)} x i8], align 64", *lines]
 
+    @functools.cached_property
+    def _by_numpy(self) -> NumpyReference:
+        return NumpyReference(self.program.program)
+
     def exercised(self, arguments: list[NDArray[Any]]) -> list[NDArray[Any]]:
         """Square matrices are positive, so that they have factors."""
         changed = list(arguments)
@@ -146,9 +153,11 @@ class ArrayBody(KernelBody):
         return changed
 
     def plain(self, arguments: Sequence[NDArray[Any]], rounded: Rounded = np.asarray) -> list[NDArray[Any]]:
-        """All results by JAX."""
+        """All results by NumPy, or by JAX where NumPy has no such function or would take longer."""
         count = len(arguments[0]) if arguments else 1
         shaped = [rounded(a).reshape(count, *array.shape) for a, array in zip(arguments, self.arguments, strict=True)]
+        with contextlib.suppress(NoReference):
+            return [r.reshape(count, -1) for r in self._by_numpy.of_rows(shaped, rounded)]
         if count not in self._by_jax:
             run = jax.vmap(jaxpr_as_fun(self.program.program), axis_size=count)
             traced = jax.jit(run, compiler_options=quick_compile(0), keep_unused=True).lower(*shaped)
@@ -157,21 +166,20 @@ class ArrayBody(KernelBody):
 
 
 class CalledLoops(InKernels):
-    """A function of matrices that kernels of scalar programs call, for one member at a time."""
+    """A function of matrices that kernels of scalar programs call.
 
-    def __init__(self, form: ArrayForm) -> None:
-        self._body = ArrayBody(form, 1)
+    Args:
+        make: makes its kernel, for one member at a time; None where there is none.
+    """
 
-    def text(self, module: Module, name: str) -> str:
-        """The function in LLVM's language, of the addresses of all arguments and results."""
-        code, body = Code(module, 1), self._body
-        every = {f"a{k}": array for k, array in enumerate(body.arguments)}
-        every |= {f"r{k}": array for k, array in enumerate(body.results)}
-        body.body(code, {key: Rows(code, array, [f"%{key}"]) for key, array in every.items()})
-        return code.function(f"internal void @{name}({', '.join(f'ptr noalias %{key}' for key in every)})")
+    def __init__(self, form: ArrayForm, make: Callable[[], Any]) -> None:
+        self._body, self._make = ArrayBody(form, 1), make
+
+    @functools.cached_property
+    def kernel(self) -> Any:
+        return self._make()
 
     def plain(self, arguments: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
-        """All results by JAX, for rows of arguments."""
         return self._body.plain(arguments)
 
 
