@@ -236,6 +236,9 @@ class XLA(Backend):
         if moved and ends <= _MOST_MOVED and wide_share(closed.jaxpr, self.widest) <= _MOSTLY:
             return self.scalars(closed, self.largest, limits)
         work = array_operations(closed.jaxpr).total() if ends <= self.widest < widest else 0
+        written = any(getattr(eqn.params.get("program"), "written_out", False) for eqn in closed.jaxpr.eqns)
+        if written:
+            return self.scalars(closed, self.largest, limits)
         if widest <= self.widest or 0 < work <= _MOST_WORK * self.largest:
             program = self.scalars(closed, self.largest, limits)
             if not work or program.operations <= _MOSTLY * work:

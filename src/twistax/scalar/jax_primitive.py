@@ -65,11 +65,13 @@ class Computed(ABC):
         results: the shapes and types of the results.
         function: from arguments to results of one member; pure and traceable.
         exports_kernels: whether exported programs, too, call its kernels, by their names.
+        written_out: whether a batch of it is written out, member by member, in programs of which it is a part.
     """
 
     results: Any
     function: Any
     exports_kernels = True
+    written_out = False
 
     def by_xla(self, arguments: Sequence[Any], batch: Batch, inside: bool, platform: str) -> list[jax.Array]:
         """The computation for XLA on a platform without a kernel, `inside` a small call or not."""
@@ -217,6 +219,13 @@ class Derived(Differentiable):
         if any(i in moving for i in back.program.flat):
             raise NotImplementedError(NOT_LINEAR)
         return back
+
+
+@weakly_kept
+class MemberProgram(Derived):
+    """A program of which the members of a small batch are part of one program: traced once, and read once."""
+
+    written_out = True
 
 
 #: A program that XLA runs; it may be part of a small call.

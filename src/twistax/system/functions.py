@@ -25,7 +25,8 @@ from ..scalar.walk import uncollected
 from .expressions import canonical, chosen_outputs, constants_of, silent
 from .inputs import CallArguments, Values
 from .jacobian import LARGEST, Differentiated, Places, RateJacobian, blocks_in_arrays, check_kinds, fewer
-from .repeat import copies_in_a_kernel
+from ..expr.transformations.vmap import elements_by
+from .repeat import copies_in_a_kernel, traced_once
 from .system import System, entry_names
 
 Arrays = dict[str, jax.Array]
@@ -249,7 +250,8 @@ class Functions:
         def make() -> tuple[Emission, Any]:
             def traced() -> tuple[Any, Any]:
                 written = jax.make_jaxpr(lambda *arguments: self.as_written(family, *arguments), return_shape=True)
-                return written(*jax.tree.unflatten(structure, list(itertools.starmap(jax.ShapeDtypeStruct, types))))
+                with elements_by(traced_once):
+                  return written(*jax.tree.unflatten(structure, list(itertools.starmap(jax.ShapeDtypeStruct, types))))
 
             closed, shape = traced()
             emission = backend.emit(closed, jax.tree.leaves(jax.tree.unflatten(structure, range(len(types)))[3]))
@@ -320,7 +322,8 @@ class Functions:
 
         def make() -> RateJacobian:
             def traced(function: Callable[..., list[jax.Array]]) -> Differentiated:
-                closed = jax.make_jaxpr(functools.partial(function, places))(*arrays)
+                with elements_by(traced_once):
+                    closed = jax.make_jaxpr(functools.partial(function, places))(*arrays)
                 return Differentiated(closed, places, self.group, wrt)
 
             if not self.slopes:

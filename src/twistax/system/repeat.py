@@ -8,6 +8,8 @@ import itertools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from ..checks import listed, short, whole
@@ -19,6 +21,8 @@ from ..expr.transformations.vmap import elements_by
 from ..groups.power import GroupPower
 from ..scalar.backends import JAX, Backend, Emission
 from ..scalar.fast import part_of_package
+from ..scalar.jax_primitive import MemberProgram, call_program
+from ..scalar.reader import scalarize
 from ..scalar.targets.llvm.backend import Native, installed
 from .composable import named_leaves
 from .system import System
@@ -150,6 +154,17 @@ def _many(leaf: Any, count: int) -> Leaf:
         return State(leaf.name, (count, *leaf.shape), **ends, **options)
     scale = None if leaf.scale is None else np.tile(leaf.scale, count)
     return State(leaf.name, group=GroupPower(leaf.group, count), scale=scale, **ends)
+
+
+def traced_once(function: Callable[..., jax.Array]) -> Callable[..., jax.Array]:
+    """A function of one member of a batch, as a program that is traced once and written out for all members."""
+
+    def traced(*arguments: jax.Array) -> jax.Array:
+        shapes = [jax.ShapeDtypeStruct(jnp.shape(a), jnp.result_type(a)) for a in arguments]
+        program = scalarize(lambda *values: [function(*values)], *shapes)
+        return call_program(MemberProgram(program), *arguments)[0]
+
+    return traced
 
 
 def copies_in_a_kernel(

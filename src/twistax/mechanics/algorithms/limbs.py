@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...expr import Concat, Constant, Expr, Reshaped, Stack, Vmap
+from ...expr import Concat, Constant, Expr, Reshaped, Stack, Vmap, canonicalize_all, leaves_of
 from ...expr.lie import Pose
 from ...expr.node import Shape
 from ..bodies import SpatialInertia
@@ -23,6 +23,9 @@ from ..tree import Segment
 
 #: A map over limbs with fewer segments takes as long to build as their expressions.
 _FEWEST = 3
+
+#: The numbers of a body.
+_BODY = ("mass", "center_of_mass", "inertia", "matrix")
 
 #: Attributes of joints that name them, or follow from their names.
 _NAMES = {"name", "position", "velocity", "transform"}
@@ -46,9 +49,11 @@ class Limbs:
             slice(segments[root].freedoms[0], segments[root + size - 1].freedoms[-1] + 1) for root in roots
         ]
         self._varying = _Varying()
-        places = range(size)
-        self._numbers = [[_numbers_of(segments[root + k]) for root in roots] for k in places]
-        self._parts = [{name: self._varying.part([n[name] for n in of]) for name in of[0]} for of in self._numbers]
+        roots_of_place = [[root + k for root in roots] for k in range(size)]
+        numbers = [[_numbers_of(segments[i]) for i in of] for of in roots_of_place]
+        folded = iter(canonicalize_all([value for of in numbers for known in of for value in known.values()]))
+        known = [[{name: next(folded) for name in n} for n in of] for of in numbers]
+        self._parts = [{name: self._varying.part([n[name] for n in of]) for name in of[0]} for of in known]
 
     def places(self, limb: int) -> range:
         """The indices of the segments of a limb."""
@@ -92,28 +97,23 @@ class Limbs:
             return Concat(*(_reshaped(result, (math.prod(result.shape),)) for result in results))
 
         numbers = [Constant(np.stack(self._varying.columns, axis=1))] if self._varying.columns else []
-        return Mapped(Vmap(one, [*numbers, *batches]), shapes)
+        return Mapped(Vmap(one, [*numbers, *batches]).of_copies(), shapes)
 
     def _segments(self, numbers: Expr) -> dict[int, Segment]:
         """The segments of one limb, with its row of the numbers in which limbs differ."""
         root, freedom, coordinate = self.roots[0], self._first[0].freedoms[0], self._first[0].coordinates.start
+        pool = Concat(numbers, Constant(np.array(self._varying.common))) if self._varying.columns else numbers
         result = dict[int, Segment]()
         for k, (segment, parts) in enumerate(zip(self._first, self._parts, strict=True)):
-            known = {name: self._varying.value(part, numbers) for name, part in parts.items()}
-            link, body = segment.link, segment.body
-            mount = Pose(known["turn"], known["shift"])
-            drive = link.drive
-            if "rotor" in known:
-                drive = dataclasses.replace(drive, armature=known["rotor"])
-            if body is not None:
-                inertia = known["inertia"]
-                body = SpatialInertia(
-                    mass=known["mass"], center_of_mass=known["center"], inertia=inertia, physical=False
-                )
-            at = segment.coordinates
-            result[k] = Segment(
+            known = {name: part if isinstance(part, Expr) else part.value(pool) for name, part in parts.items()}
+            link, at = segment.link, segment.coordinates
+            mount: Expr = link.mount
+            if not isinstance(parts["turn"], Expr) or not isinstance(parts["shift"], Expr):
+                mount = Pose(known["turn"], known["shift"])
+            drive = _with(link.drive, armature=known["rotor"]) if "rotor" in known else link.drive
+            result[k] = _Segment(
                 link=_with(link, mount=mount, drive=drive),
-                body=body,
+                body=None if segment.body is None else _Body({name: known[name] for name in _BODY}),
                 before=segment.before - root if k else -1,
                 freedoms=tuple(i - freedom for i in segment.freedoms),
                 coordinates=slice(at.start - coordinate, at.stop - coordinate),
@@ -179,7 +179,7 @@ def _structure(segment: Segment, push: Expr | None) -> Hashable:
     moves = segment.freedoms and segment.coordinates is not None and link.mimic is None
     if joint is None or not moves or segment.inner_motion is not None:
         return None
-    if not all(isinstance(number, Constant) for number in _numbers_of(segment).values()):
+    if any(not isinstance(leaf, Constant) for leaf in leaves_of(*_numbers_of(segment).values())):
         return None
     return joint, body is None, link.drive.rotor is None, push is None
 
@@ -200,13 +200,11 @@ def _of_joint(joint: Joint) -> Hashable:
 def _numbers_of(segment: Segment) -> dict[str, Expr]:
     """The numbers in which limbs may differ."""
     link, body = segment.link, segment.body
-    mount = link.mount.value if isinstance(link.mount, Constant) else None
-    turn, shift = (link.mount, link.mount) if mount is None else (Constant(mount[:3, :3]), Constant(mount[:3, 3]))
-    numbers = {"turn": turn, "shift": shift}
+    numbers: dict[str, Expr] = {"turn": link.mount[:3, :3], "shift": link.mount[:3, 3]}
     if link.drive.rotor is not None:
         numbers["rotor"] = link.drive.rotor
     if body is not None:
-        numbers |= {"mass": body.mass, "center": body.center_of_mass, "inertia": body.inertia}
+        numbers |= {name: getattr(body, name) for name in _BODY}
     return numbers
 
 
@@ -215,33 +213,72 @@ class _Varying:
 
     def __init__(self) -> None:
         self.columns: list[NDArray[Any]] = []
+        #: Other entries of these arrays, which all limbs have in common.
+        self.common: list[float] = []
         self._known: dict[bytes, int] = {}
 
-    def part(self, arrays: Sequence[Constant]) -> Any:
-        """An array: its entries are numbers, or the number of a column and its sign."""
-        values = np.stack([array.value for array in arrays])
-        entries: list[float | tuple[int, int]] = []
+    def part(self, arrays: Sequence[Constant]) -> Constant | _Part:
+        """An array of all limbs."""
+        values = np.stack([array.value for array in arrays]) + 0.0
+        if (values == values[0]).all():
+            return arrays[0]
+        places, signs = list[int](), list[float]()
         for column in values.reshape(len(arrays), -1).T:
-            column = column + 0.0
-            entries.append(float(column[0]) if (column == column[0]).all() else self._column(column))
-        return values.shape[1:], entries
+            sign = 1.0
+            if (column == column[0]).all():
+                self.common.append(float(column[0]))
+                place = -len(self.common)
+            else:
+                place, sign = self._column(column)
+            places.append(place)
+            signs.append(sign)
+        return _Part(self, values.shape[1:], places, np.array(signs))
 
-    def _column(self, column: NDArray[Any]) -> tuple[int, int]:
-        for sign in (1, -1):
+    def _column(self, column: NDArray[Any]) -> tuple[int, float]:
+        for sign in (1.0, -1.0):
             if (place := self._known.get((sign * column + 0.0).tobytes())) is not None:
                 return place, sign
         self._known[column.tobytes()] = len(self.columns)
         self.columns.append(column)
-        return len(self.columns) - 1, 1
+        return len(self.columns) - 1, 1.0
 
-    @staticmethod
-    def value(part: Any, numbers: Expr) -> Expr:
-        """The array of a limb, from its row of the columns."""
-        shape, entries = part
-        if not any(isinstance(entry, tuple) for entry in entries):
-            return Constant(np.array(entries).reshape(shape))
-        signed = [numbers[e[0]] * float(e[1]) if isinstance(e, tuple) else Constant(e) for e in entries]
-        return signed[0] if not shape else _reshaped(Concat(*signed), shape)
+
+@dataclasses.dataclass(frozen=True)
+class _Part:
+    """An array with entries that differ from limb to limb.
+
+    Attributes:
+        places: of its entries, in the columns, or below zero in the common numbers.
+        signs: by which they are multiplied.
+    """
+
+    varying: _Varying
+    shape: Shape
+    places: Sequence[int]
+    signs: NDArray[np.float64]
+
+    def value(self, pool: Expr) -> Expr:
+        """The array of a limb, from its row of the columns, with the common numbers after it."""
+        count = len(self.varying.columns)
+        entries = pool[np.array([place if place >= 0 else count - 1 - place for place in self.places])]
+        if not (self.signs == 1.0).all():
+            entries = self.signs * entries
+        return entries[0] if not self.shape else _reshaped(entries, self.shape)
+
+
+class _Segment(Segment):
+    """A segment of one limb, in which no mass moves."""
+
+    inner_motion: Any = None
+
+
+class _Body(SpatialInertia):
+    """A body of one limb."""
+
+    matrix: Any = None
+
+    def __init__(self, numbers: Mapping[str, Expr]) -> None:
+        self.__dict__.update(numbers)
 
 
 def _with(record: Any, **changes: Any) -> Any:
