@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from ...checks import callable_with, whole
@@ -16,7 +17,7 @@ from ...errors import ModelError, OperationError, ShapeError
 from ..fields import Operands
 from ..graph import function_of, leaves_of, other_leaves, substitute
 from ..kinds import rules
-from ..leaves import Leaf
+from ..leaves import Constant, Leaf
 from ..node import Expr, Shape, to_expr, to_numbers
 from ..operations.comparisons import Constraint
 
@@ -182,11 +183,21 @@ class Vmap(Expr):
         return (shapes[0][self.axis], *self.body.check_shape())
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
-        leaves = [*self.placeholders, *self.captured]
-        element, count = function_of(self.body, leaves, {}), len(self.batches)
+        leaves, count = [*self.placeholders, *self.captured], len(self.batches)
         program = _program_of.get() if self.copies else None
+        if program is None:
+            element = function_of(self.body, leaves, {})
+        else:  # numbers are part of the program
+            by_leaf = dict(zip(leaves, values, strict=True))
+            with jax.ensure_compile_time_eval():
+                numbers = {
+                    leaf.key(): jnp.asarray(leaf.value, by_leaf.pop(leaf).dtype)
+                    for leaf in self.captured
+                    if isinstance(leaf, Constant)
+                }
+            element, values = program(function_of(self.body, list(by_leaf), numbers)), tuple(by_leaf.values())
         in_axes = (*[self.axis] * count, *[None] * (len(values) - count))
-        return jax.vmap(element if program is None else program(element), in_axes=in_axes)(*values)
+        return jax.vmap(element, in_axes=in_axes)(*values)
 
     def simplify(self) -> Expr:
         """The body is simplified."""
