@@ -72,6 +72,20 @@ class OpaqueCall:
         return flat(*self.results)[:1]
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class Repeat:
+    """A program that a graph contains several times, simplified in each place.
+
+    Attributes:
+        program: a `ScalarProgram`.
+        arguments, results: arrays of nodes, with one row for each time; -1 for nodes that are not needed.
+    """
+
+    program: Any
+    arguments: tuple[Nodes, ...]
+    results: tuple[Nodes, ...]
+
+
 LIMITS = Limits()
 
 
@@ -110,6 +124,7 @@ class ScalarGraph:
         #: The number where a node is one, else None.
         self.numbers: list[Any] = []
         self.calls: list[OpaqueCall] = []
+        self.repeats: list[Repeat] = []
         #: Operations in calls that emitters may write out; they count as nodes.
         self.inside = 0
         #: The operation of a node; None for numbers, inputs and results of calls. And the nodes that it reads.

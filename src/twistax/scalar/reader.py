@@ -28,7 +28,7 @@ from ..jax_inside import (
     on_key_data,
     source_of,
 )
-from .graph import LIMITS, OpaqueCall, ScalarGraph
+from .graph import LIMITS, OpaqueCall, Repeat, ScalarGraph
 from .primitives.interface import Limits, Nodes, flat, nodes, stays_call
 from .primitives.piecewise_constant import piecewise_constant
 from .primitives.table import OPERATIONS, WHERE, entry_of, say_unread
@@ -115,6 +115,13 @@ class JaxprReader:
         self.copy(program, known)
         return [renamed(known, array) for array in program.outputs]
 
+    def repeated(self, program: ScalarProgram, arguments: Sequence[Nodes]) -> list[Nodes]:
+        """The results of a scalar program for rows of arguments."""
+        rows = [self.inlined(program, row) for row in zip(*arguments, strict=True)]
+        results = [nodes(flat(*results), (len(rows), *results[0].shape)) for results in zip(*rows, strict=True)]
+        self.graph.repeats.append(Repeat(program, tuple(arguments), tuple(results)))
+        return results
+
     def known(self, arrays: Iterable[Nodes]) -> bool:
         """Whether all entries of arrays are numbers."""
         return all(self.graph.values(a) is not None for a in arrays)
@@ -171,6 +178,24 @@ class JaxprReader:
                     known[i] = new.copied(operation, arguments, old.dtypes[i])
                 else:
                     known[i] = operation.on(new)(*arguments)
+        for repeat in old.repeats:
+            self._copy_repeat(repeat, old, known)
+
+    def _copy_repeat(self, repeat: Repeat, old: ScalarGraph, known: dict[int, int]) -> None:
+        """Note that the new graph contains a program several times, if it needs it."""
+        if any(i in known for i in flat(*repeat.results)):
+            # Results may depend on what an argument is made of, and not on the argument.
+            for i in old.live((i for i in flat(*repeat.arguments) if i >= 0), known):
+                operation, number = old.operation(i), old.numbers[i]
+                if operation is not None:
+                    known[i] = operation.on(self.graph)(*(known[a] for a in old.arguments(i)))
+                elif number is not None:
+                    known[i] = self.graph.constant(number, old.dtypes[i])
+                else:
+                    return
+            kept = {i: known.get(i, -1) for i in flat(*repeat.arguments, *repeat.results)}
+            rows = ([renamed(kept, array) for array in arrays] for arrays in (repeat.arguments, repeat.results))
+            self.graph.repeats.append(Repeat(repeat.program, *map(tuple, rows)))
 
     def _copy_call(self, call: OpaqueCall, known: dict[int, int]) -> bool:
         """Add what a call does; gives whether it stays a call."""

@@ -14,7 +14,8 @@ from native_programs import program_of
 from twistax.scalar.primitives.table import OPERATIONS
 from twistax.scalar.targets.llvm.code import Module
 from twistax.scalar.targets.llvm.handler import write_host_handler
-from twistax.scalar.targets.llvm.kernel_body import Straight, native_form
+from twistax.scalar.targets.llvm.kernel_body import native_form
+from twistax.scalar.targets.llvm.straight import Straight
 from twistax.scalar.targets.llvm.machine_code import Processor
 
 POINTERS = ctypes.POINTER(ctypes.c_void_p)

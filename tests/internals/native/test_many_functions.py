@@ -18,7 +18,8 @@ from twistax.scalar.reader import scalarize
 from twistax.scalar.targets.llvm import kernel_body
 from twistax.scalar.targets.llvm.code import Module
 from twistax.scalar.targets.llvm.kernel import HostKernel
-from twistax.scalar.targets.llvm.kernel_body import Straight, native_form
+from twistax.scalar.targets.llvm.kernel_body import native_form
+from twistax.scalar.targets.llvm.straight import Straight
 from twistax.scalar.targets.llvm.machine_code import Processor
 
 

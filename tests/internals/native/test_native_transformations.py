@@ -20,7 +20,7 @@ from native_programs import at_every_width
 import twistax as tx
 from twistax.scalar.jax_primitive import Derived, call_program
 from twistax.scalar.reader import scalarize
-from twistax.scalar.targets.llvm.kernel_body import Straight
+from twistax.scalar.targets.llvm.straight import Straight
 from twistax.scalar.targets.llvm.machine_code import Processor
 
 RNG = np.random.default_rng(0)

@@ -86,6 +86,7 @@ class Reader(Protocol):
     def graph(self) -> Graph: ...
     def read(self, program: ClosedJaxpr, inputs: Sequence[Nodes]) -> list[Nodes]: ...
     def inlined(self, program: Any, inputs: Sequence[Nodes]) -> list[Nodes]: ...
+    def repeated(self, program: Any, arguments: Sequence[Nodes]) -> list[Nodes]: ...
     def known(self, arrays: Iterable[Nodes]) -> bool: ...
     def call(
         self, eqn: Any, arrays: Sequence[Nodes], body: ClosedJaxpr | None = None, key: Any = None
@@ -104,16 +105,32 @@ class InKernels(ABC):
         """All results by JAX, for rows of arguments."""
 
 
+class Repeated:
+    """The key of a call that computes a program for each column of its arguments.
+
+    Attributes:
+        program: a scalar program.
+    """
+
+    def __init__(self, program: Any) -> None:
+        self.program = program
+
+
 def kernel_of(call: Any) -> InKernels | None:
     """What writes a call in kernels; None for other calls, and for none."""
     return call.key if call is not None and isinstance(call.key, InKernels) else None
+
+
+def is_loop(call: Any) -> bool:
+    """Whether a call is one that kernels write as a loop or a function, and others write out."""
+    return call is not None and (call.key == PRODUCT or isinstance(call.key, Repeated))
 
 
 def stays_call(call: Any, limits: Limits) -> bool:
     """Whether a call stays one where functions of scalars are unrolled."""
     if kernel_of(call) is not None:
         return limits.functions
-    if call.key == PRODUCT:
+    if is_loop(call):
         return limits.products < math.inf
     # A call that was too large to unroll may fit a graph with larger limits.
     return not call.inline and limits == Limits()

@@ -137,11 +137,11 @@ def _program(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
     batch, program = eqn.params["batch"], eqn.params["program"]
     if batch.depth != 1 or not program.written_out:
         return _alone(reader, eqn, *arrays)
-    rows = [
-        reader.inlined(program.program, [a if k in batch.shared else np.asarray(a[i]) for k, a in enumerate(arrays)])
-        for i in range(_members(eqn))
-    ]
-    return [nodes(flat(*results), (len(rows), *results[0].shape)) for results in zip(*rows, strict=True)]
+    rows = _members(eqn)
+    arguments = [np.broadcast_to(a, (rows, *a.shape)) if k in batch.shared else a for k, a in enumerate(arrays)]
+    return reader.repeated(program.program, arguments)
+
+
 _written_out = _of_one(lambda reader, program, arrays: reader.read(program, arrays))
 
 

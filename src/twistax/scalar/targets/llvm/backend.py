@@ -49,9 +49,10 @@ from ..cuda.ptx import libdevice
 from .arrays.body import ArrayBody, array_form
 from .code import NotNative
 from .kernel import HostKernel, Kernel
-from .kernel_body import KernelBody, Straight, native_form
+from .kernel_body import KernelBody, native_form
 from .machine_code import BuildError, Processor, installed
 from .self_test import check_kernel
+from .straight import Straight
 from .step_kernels import StepKernels
 
 #: An event of `jax.monitoring` for each kernel, with the seconds to make it or to read it from the cache.

@@ -1,0 +1,187 @@
+"""Programs that a program contains several times: functions of all of them at once, side by side in a vector."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from ...graph import OpaqueCall, Repeat, ScalarGraph
+from ...jax_primitive import MemberProgram, call_program
+from ...primitives.interface import Nodes, Repeated, flat, nodes
+from ...program import ScalarProgram
+from ...reader import JaxprReader, renamed
+from .code import Code
+from .pieces import Scratch
+
+#: Programs of fewer operations are written out each time.
+_LEAST = 200
+
+#: As functions they are written where no more than this fraction of the operations is left.
+_MOST = 0.9
+
+
+class _Circle(Exception):
+    """An argument of a repeated program depends on its results."""
+
+
+def with_functions(program: ScalarProgram) -> ScalarProgram:
+    """The program with calls of the programs that it contains several times; itself where that makes it no shorter."""
+    repeats = [repeat for repeat in program.graph.repeats if repeat.program.operations >= _LEAST]
+    if not repeats or program.dtype != np.float64:
+        return program
+    try:
+        shorter = _Exchange(program, repeats).made()
+    except _Circle:
+        return program
+    inside = sum(call.key.program.operations for call in shorter.calls if isinstance(call.key, Repeated))
+    return shorter if shorter.operations + inside < _MOST * program.operations else program
+
+
+class _Exchange:
+    """A program, of which results of repeated programs become results of calls.
+
+    Args:
+        repeats: the repeated programs.
+    """
+
+    def __init__(self, program: ScalarProgram, repeats: Sequence[Repeat]) -> None:
+        self._program, self._old, self._repeats = program, program.graph, repeats
+        #: The repeated program of which a node is a result.
+        self._of: dict[int, int] = {}
+        live = set(program.live)
+        for number, repeat in enumerate(repeats):
+            arguments = set(flat(*repeat.arguments))
+            for i in flat(*repeat.results):
+                if i in live and self._old.operation(i) is not None and i not in arguments:
+                    self._of.setdefault(i, number)
+
+    def made(self) -> ScalarProgram:
+        """The new program. Raises _Circle."""
+        old, program = self._old, self._program
+        new = ScalarGraph(old.dtype, old.checked, old.largest, old.limits, old.signed_zeros)
+        inputs = tuple(
+            nodes([new.input(k, j, old.dtypes[i]) for j, i in enumerate(flat(array))], array.shape)
+            for k, array in enumerate(program.inputs)
+        )
+        self._new, self._reader = new, JaxprReader(new)
+        self._known = dict(zip(flat(*program.inputs), flat(*inputs), strict=True))
+        needed = self._needed()
+        for i in program.live:
+            if i in needed:
+                self._add(i)
+        outputs = tuple(renamed(self._known, array) for array in program.outputs)
+        return ScalarProgram(new, inputs, outputs, program.types)
+
+    def _sources(self, node: int) -> Sequence[int]:
+        number = self._of.get(node)
+        if number is None:
+            return self._old.sources(node)
+        return [i for i in flat(*self._repeats[number].arguments) if i >= 0]
+
+    def _needed(self) -> set[int]:
+        needed, waiting = set[int](), list(self._program.flat)
+        while waiting:
+            node = waiting.pop()
+            if node not in needed:
+                needed.add(node)
+                waiting.extend(self._sources(node))
+        return needed
+
+    def _add(self, root: int) -> None:
+        """Add a node, after all that it needs."""
+        waiting, begun = [root], set[int]()
+        while waiting:
+            node = waiting[-1]
+            if node in self._known:
+                waiting.pop()
+            elif missing := [i for i in self._sources(node) if i not in self._known]:
+                if node in begun:
+                    raise _Circle
+                begun.add(node)
+                waiting.extend(missing)
+            else:
+                self._compute(node)
+
+    def _compute(self, node: int) -> None:
+        old, new, known = self._old, self._new, self._known
+        call, operation = old.call_of(node), old.operation(node)
+        if node in self._of:
+            self._call(self._repeats[self._of[node]], self._of[node])
+        elif call is not None:
+            made = new.call(call.jaxpr, call.key, [renamed(known, a) for a in call.arguments], call.inline)
+            known.update(zip(flat(*call.results), flat(*made.results), strict=True))
+        elif operation is None:
+            known[node] = new.constant(old.numbers[node], old.dtypes[node])
+        else:
+            known[node] = new.copied(operation, [known[a] for a in old.arguments(node)], old.dtypes[node])
+
+    def _call(self, repeat: Repeat, number: int) -> None:
+        new, known = self._new, self._known
+        known[-1] = new.zero  # of arguments on which no needed result depends
+        arguments = [_columns(renamed(known, a)) for a in repeat.arguments]
+        key = Repeated(repeat.program)
+        made = new.call(_function(repeat.program, len(repeat.results[0])), key, arguments, True)
+        for old_rows, columns in zip(repeat.results, made.results, strict=True):
+            for i, node in zip(flat(_columns(old_rows)), flat(columns), strict=True):
+                if self._of.get(i) == number:
+                    known[i] = node
+
+
+def argument_places(code: Code, scratch: Scratch, call: OpaqueCall, value: Callable[[int], str]) -> list[int]:
+    """The places in memory of the arguments of a function, entry by entry; they are written there.
+
+    Args:
+        value: the value of a node.
+    """
+    places, copied = list[int](), 0
+    for array in map(flat, call.arguments):
+        start = scratch.row(array)
+        if start is None:
+            start = scratch.further(copied + len(array) - 1) - len(array) + 1
+            copied += len(array)
+            for k, node in enumerate(array):
+                there = code.emit(f"getelementptr i8, ptr %scratch, i64 {8 * (start + k)}")
+                code.lines.append(f"store double {value(node)}, ptr {there}, align 8")
+        places.append(start)
+    return places
+
+
+def _columns(rows: Nodes) -> Nodes:
+    """An array (entries, n) from one with one row for each time."""
+    return rows.reshape(len(rows), -1).T
+
+
+def _function(program: ScalarProgram, count: int) -> Any:
+    """What a call does, from arrays (entries, n) to such arrays."""
+    member = MemberProgram(program)
+
+    def one(*columns: jax.Array) -> list[jax.Array]:
+        arguments = (jnp.reshape(c, nodes.shape) for c, nodes in zip(columns, program.inputs, strict=True))
+        return [jnp.ravel(result) for result in call_program(member, *arguments)]
+
+    g = program.graph
+    shapes = [jax.ShapeDtypeStruct((a.size, count), g.dtype_of(a)) for a in program.inputs]
+    return jax.make_jaxpr(jax.vmap(one, 1, 1))(*shapes)
+
+
+def repeated_by_numpy(
+    call: OpaqueCall, values: Mapping[int, NDArray[Any]], by_numpy: Any
+) -> dict[int, NDArray[Any]]:
+    """The results of a call, whose entries are arrays of members."""
+    count = call.arguments[0].shape[1]
+    arguments = [
+        np.concatenate([np.stack([values[i] for i in column.tolist()], 1) for column in array.T])
+        for array in call.arguments
+    ]
+    results = by_numpy(call.key.program, arguments)
+    return {
+        int(i): part[:, entry]
+        for array, result in zip(call.results, results, strict=True)
+        for column, part in zip(array.T, np.split(result, count), strict=True)
+        for entry, i in enumerate(column.tolist())
+    }
