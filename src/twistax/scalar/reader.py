@@ -34,7 +34,7 @@ from .primitives.piecewise_constant import piecewise_constant
 from .primitives.table import OPERATIONS, WHERE, entry_of, say_unread
 from .program import ScalarProgram
 
-_DIV = OPERATIONS["div"]
+_DIV, _NEG = OPERATIONS["div"], OPERATIONS["neg"]
 
 #: The directory of this package.
 _PACKAGE = str(Path(__file__).parents[2]) + os.sep
@@ -193,6 +193,9 @@ class JaxprReader:
                     known[i] = self.graph.constant(number, old.dtypes[i])
                 else:
                     return
+            for i in flat(*repeat.results):
+                if i not in known and old.operation(i) is _NEG and old.arguments(i)[0] in known:
+                    known[i] = self.graph.neg(known[old.arguments(i)[0]])
             kept = {i: known.get(i, -1) for i in flat(*repeat.arguments, *repeat.results)}
             rows = ([renamed(kept, array) for array in arrays] for arrays in (repeat.arguments, repeat.results))
             self.graph.repeats.append(Repeat(repeat.program, *map(tuple, rows)))

@@ -13,10 +13,13 @@ from numpy.typing import NDArray
 from ...graph import OpaqueCall, Repeat, ScalarGraph
 from ...jax_primitive import MemberProgram, call_program
 from ...primitives.interface import Nodes, Repeated, flat, nodes
+from ...primitives.operations import OPERATIONS
 from ...program import ScalarProgram
 from ...reader import JaxprReader, renamed
 from .code import Code
 from .pieces import Scratch
+
+_NEG = OPERATIONS["neg"]
 
 #: Programs of fewer operations are written out each time.
 _LEAST = 200
@@ -53,12 +56,21 @@ class _Exchange:
         self._program, self._old, self._repeats = program, program.graph, repeats
         #: The repeated program of which a node is a result.
         self._of: dict[int, int] = {}
+        #: Nodes of which the negative is a result: others read them in place of it.
+        self._negative: dict[int, int] = {}
         live = set(program.live)
         for number, repeat in enumerate(repeats):
             arguments = set(flat(*repeat.arguments))
-            for i in flat(*repeat.results):
-                if i in live and self._old.operation(i) is not None and i not in arguments:
+
+            computed = [i for i in flat(*repeat.results) if i >= 0 and i not in arguments]
+            for i in computed:
+                operation = self._old.operation(i)
+                if operation is not None and i in live:
                     self._of.setdefault(i, number)
+                inner = self._old.arguments(i)[0] if operation is _NEG else -1
+                if inner in live and self._old.operation(inner) is not None and inner not in arguments:
+                    self._of.setdefault(i, number)
+                    self._negative.setdefault(inner, i)
 
     def made(self) -> ScalarProgram:
         """The new program. Raises _Circle."""
@@ -80,7 +92,7 @@ class _Exchange:
     def _sources(self, node: int) -> Sequence[int]:
         number = self._of.get(node)
         if number is None:
-            return self._old.sources(node)
+            return [self._negative[node]] if node in self._negative else self._old.sources(node)
         return [i for i in flat(*self._repeats[number].arguments) if i >= 0]
 
     def _needed(self) -> set[int]:
@@ -112,6 +124,8 @@ class _Exchange:
         call, operation = old.call_of(node), old.operation(node)
         if node in self._of:
             self._call(self._repeats[self._of[node]], self._of[node])
+        elif node in self._negative:
+            known[node] = new.neg(known[self._negative[node]])
         elif call is not None:
             made = new.call(call.jaxpr, call.key, [renamed(known, a) for a in call.arguments], call.inline)
             known.update(zip(flat(*call.results), flat(*made.results), strict=True))
