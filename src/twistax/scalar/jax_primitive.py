@@ -207,10 +207,10 @@ class Derived(Differentiable):
     def _tangent(self, active: tuple[int, ...]) -> Derived:
         # Made when it runs: a program that is only transposed may have no forward derivative.
         results = [self.results[k] for k in self.real]
-        return Derived(lambda: tangent_program(self.program, active), results, self.runner)
+        return type(self)(lambda: tangent_program(self.program, active), results, self.runner)
 
     def _cotangent(self, active: tuple[int, ...]) -> Derived:
-        return Derived(cotangent_program(self.program, active), None, self.runner)
+        return type(self)(cotangent_program(self.program, active), None, self.runner)
 
     def transposed(self, linear: tuple[int, ...]) -> Differentiable:
         back = self.cotangent(linear)

@@ -5,6 +5,7 @@ graph.
 from __future__ import annotations
 
 import functools
+import math
 import os
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -29,12 +30,15 @@ from ..jax_inside import (
     source_of,
 )
 from .graph import LIMITS, OpaqueCall, Repeat, ScalarGraph
-from .primitives.interface import Limits, Nodes, flat, nodes, stays_call
+from .primitives.interface import Limits, Nodes, Repeated, flat, nodes, stays_call
 from .primitives.piecewise_constant import piecewise_constant
 from .primitives.table import OPERATIONS, WHERE, entry_of, say_unread
 from .program import ScalarProgram
 
 _DIV, _NEG = OPERATIONS["div"], OPERATIONS["neg"]
+
+#: Programs of fewer operations are written out each time.
+LEAST_REPEATED = 200
 
 #: The directory of this package.
 _PACKAGE = str(Path(__file__).parents[2]) + os.sep
@@ -115,11 +119,22 @@ class JaxprReader:
         self.copy(program, known)
         return [renamed(known, array) for array in program.outputs]
 
-    def repeated(self, program: ScalarProgram, arguments: Sequence[Nodes]) -> list[Nodes]:
-        """The results of a scalar program for rows of arguments."""
+    def repeated(self, eqn: Any, program: ScalarProgram, arguments: Sequence[Nodes]) -> list[Nodes]:
+        """The results of a scalar program for rows of arguments, written out or as a call, as the limits say."""
+        g, variables = self.graph, [v for v in eqn.invars if not isinstance(v, Literal)]
+        distinct = len(set(variables)) == len(eqn.invars) and not eqn.params["batch"].shared
+        if g.limits.products < math.inf and program.operations >= LEAST_REPEATED and distinct:
+            g.inside += len(arguments[0]) * program.operations
+            function = alone(self._reading[-1], eqn, variables)
+            results = [array.copy() for array in g.call(function, Repeated(program), arguments, True).results]
+            for array, outputs in zip(results, program.outputs, strict=True):
+                for place, node in np.ndenumerate(outputs):
+                    if (number := program.graph.numbers[node]) is not None:
+                        array[(slice(None), *place)] = g.constant(number, program.graph.dtypes[node])
+            return results
         rows = [self.inlined(program, row) for row in zip(*arguments, strict=True)]
         results = [nodes(flat(*results), (len(rows), *results[0].shape)) for results in zip(*rows, strict=True)]
-        self.graph.repeats.append(Repeat(program, tuple(arguments), tuple(results)))
+        g.repeats.append(Repeat(program, tuple(arguments), tuple(results)))
         return results
 
     def known(self, arrays: Iterable[Nodes]) -> bool:

@@ -86,7 +86,7 @@ class Reader(Protocol):
     def graph(self) -> Graph: ...
     def read(self, program: ClosedJaxpr, inputs: Sequence[Nodes]) -> list[Nodes]: ...
     def inlined(self, program: Any, inputs: Sequence[Nodes]) -> list[Nodes]: ...
-    def repeated(self, program: Any, arguments: Sequence[Nodes]) -> list[Nodes]: ...
+    def repeated(self, eqn: Any, program: Any, arguments: Sequence[Nodes]) -> list[Nodes]: ...
     def known(self, arrays: Iterable[Nodes]) -> bool: ...
     def call(
         self, eqn: Any, arrays: Sequence[Nodes], body: ClosedJaxpr | None = None, key: Any = None
@@ -105,15 +105,15 @@ class InKernels(ABC):
         """All results by JAX, for rows of arguments."""
 
 
+@dataclasses.dataclass(frozen=True)
 class Repeated:
-    """The key of a call that computes a program for each column of its arguments.
+    """The key of a call that computes a program for each row of its arguments.
 
     Attributes:
         program: a scalar program.
     """
 
-    def __init__(self, program: Any) -> None:
-        self.program = program
+    program: Any
 
 
 def kernel_of(call: Any) -> InKernels | None:
@@ -134,6 +134,11 @@ def stays_call(call: Any, limits: Limits) -> bool:
         return limits.products < math.inf
     # A call that was too large to unroll may fit a graph with larger limits.
     return not call.inline and limits == Limits()
+
+
+def by_columns(rows: Nodes) -> list[int]:
+    """The nodes of an array with one row for each time, entry by entry."""
+    return flat(rows.reshape(len(rows), -1).T)
 
 
 # ---- arrays of nodes -------------------------------------------------------------------------------------------------

@@ -139,7 +139,7 @@ def _program(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
         return _alone(reader, eqn, *arrays)
     rows = _members(eqn)
     arguments = [np.broadcast_to(a, (rows, *a.shape)) if k in batch.shared else a for k, a in enumerate(arrays)]
-    return reader.repeated(program.program, arguments)
+    return reader.repeated(eqn, program.program, arguments)
 
 
 _written_out = _of_one(lambda reader, program, arrays: reader.read(program, arrays))

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple, TypeAlias
 
 from ...graph import OpaqueCall
-from ...primitives.interface import PRODUCT, flat, is_loop, kernel_of
+from ...primitives.interface import PRODUCT, by_columns, flat, is_loop, kernel_of
 from ...program import ScalarProgram
 from .code import NAMES, Code
 from .machine_code import Processor
@@ -121,7 +121,7 @@ class Scratch:
             if call.key == PRODUCT:
                 wanted = map(tuple, (*call.arguments[1].tolist(), *call.results[0].tolist()))
             else:
-                wanted = map(tuple, map(flat, call.results))
+                wanted = map(tuple, map(by_columns, call.results))
             for row in wanted:
                 is_computed = all(g.operation(i) is not None or g.call_of(i) is not None for i in row)
                 if is_computed and len({*row}) == len(row) and taken.isdisjoint(row):

@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
 from ...graph import OpaqueCall, Repeat, ScalarGraph
 from ...jax_primitive import MemberProgram, call_program
-from ...primitives.interface import Nodes, Repeated, flat, nodes
+from ...primitives.interface import Repeated, by_columns, flat, nodes
 from ...primitives.operations import OPERATIONS
 from ...program import ScalarProgram
-from ...reader import JaxprReader, renamed
+from ...reader import LEAST_REPEATED, renamed
 from .code import Code
 from .pieces import Scratch
 
 _NEG = OPERATIONS["neg"]
-
-#: Programs of fewer operations are written out each time.
-_LEAST = 200
 
 #: As functions they are written where no more than this fraction of the operations is left.
 _MOST = 0.9
@@ -34,15 +31,20 @@ class _Circle(Exception):
 
 def with_functions(program: ScalarProgram) -> ScalarProgram:
     """The program with calls of the programs that it contains several times; itself where that makes it no shorter."""
-    repeats = [repeat for repeat in program.graph.repeats if repeat.program.operations >= _LEAST]
+    repeats = [repeat for repeat in program.graph.repeats if repeat.program.operations >= LEAST_REPEATED]
     if not repeats or program.dtype != np.float64:
         return program
     try:
         shorter = _Exchange(program, repeats).made()
     except _Circle:
         return program
-    inside = sum(call.key.program.operations for call in shorter.calls if isinstance(call.key, Repeated))
-    return shorter if shorter.operations + inside < _MOST * program.operations else program
+    return shorter if operations_once(shorter) < _MOST * program.operations else program
+
+
+def operations_once(program: ScalarProgram) -> int:
+    """The number of operations, with those of each repeated program once."""
+    repeated = [call for call in program.calls if isinstance(call.key, Repeated)]
+    return program.operations - sum((len(c.arguments[0]) - 1) * c.key.program.operations for c in repeated)
 
 
 class _Exchange:
@@ -80,7 +82,7 @@ class _Exchange:
             nodes([new.input(k, j, old.dtypes[i]) for j, i in enumerate(flat(array))], array.shape)
             for k, array in enumerate(program.inputs)
         )
-        self._new, self._reader = new, JaxprReader(new)
+        self._new = new
         self._known = dict(zip(flat(*program.inputs), flat(*inputs), strict=True))
         needed = self._needed()
         for i in program.live:
@@ -137,13 +139,12 @@ class _Exchange:
     def _call(self, repeat: Repeat, number: int) -> None:
         new, known = self._new, self._known
         known[-1] = new.zero  # of arguments on which no needed result depends
-        arguments = [_columns(renamed(known, a)) for a in repeat.arguments]
-        key = Repeated(repeat.program)
-        made = new.call(_function(repeat.program, len(repeat.results[0])), key, arguments, True)
-        for old_rows, columns in zip(repeat.results, made.results, strict=True):
-            for i, node in zip(flat(_columns(old_rows)), flat(columns), strict=True):
-                if self._of.get(i) == number:
-                    known[i] = node
+        arguments = [renamed(known, array) for array in repeat.arguments]
+        function = _function(repeat.program, len(arguments[0]))
+        made = new.call(function, Repeated(repeat.program), arguments, True)
+        for i, node in zip(flat(*repeat.results), flat(*made.results), strict=True):
+            if self._of.get(i) == number:
+                known[i] = node
 
 
 def argument_places(code: Code, scratch: Scratch, call: OpaqueCall, value: Callable[[int], str]) -> list[int]:
@@ -153,7 +154,7 @@ def argument_places(code: Code, scratch: Scratch, call: OpaqueCall, value: Calla
         value: the value of a node.
     """
     places, copied = list[int](), 0
-    for array in map(flat, call.arguments):
+    for array in map(by_columns, call.arguments):
         start = scratch.row(array)
         if start is None:
             start = scratch.further(copied + len(array) - 1) - len(array) + 1
@@ -165,37 +166,22 @@ def argument_places(code: Code, scratch: Scratch, call: OpaqueCall, value: Calla
     return places
 
 
-def _columns(rows: Nodes) -> Nodes:
-    """An array (entries, n) from one with one row for each time."""
-    return rows.reshape(len(rows), -1).T
-
-
 def _function(program: ScalarProgram, count: int) -> Any:
-    """What a call does, from arrays (entries, n) to such arrays."""
-    member = MemberProgram(program)
-
-    def one(*columns: jax.Array) -> list[jax.Array]:
-        arguments = (jnp.reshape(c, nodes.shape) for c, nodes in zip(columns, program.inputs, strict=True))
-        return [jnp.ravel(result) for result in call_program(member, *arguments)]
-
-    g = program.graph
-    shapes = [jax.ShapeDtypeStruct((a.size, count), g.dtype_of(a)) for a in program.inputs]
-    return jax.make_jaxpr(jax.vmap(one, 1, 1))(*shapes)
+    """What a call does, from arrays with one row for each time to such arrays."""
+    g, member = program.graph, MemberProgram(program)
+    shapes = [jax.ShapeDtypeStruct((count, *a.shape), g.dtype_of(a)) for a in program.inputs]
+    return jax.make_jaxpr(jax.vmap(functools.partial(call_program, member)))(*shapes)
 
 
-def repeated_by_numpy(
-    call: OpaqueCall, values: Mapping[int, NDArray[Any]], by_numpy: Any
-) -> dict[int, NDArray[Any]]:
+def repeated_by_numpy(call: OpaqueCall, values: Mapping[int, NDArray[Any]], by_numpy: Any) -> dict[int, NDArray[Any]]:
     """The results of a call, whose entries are arrays of members."""
-    count = call.arguments[0].shape[1]
     arguments = [
-        np.concatenate([np.stack([values[i] for i in column.tolist()], 1) for column in array.T])
-        for array in call.arguments
+        np.concatenate([np.stack([values[i] for i in flat(row)], 1) for row in array]) for array in call.arguments
     ]
     results = by_numpy(call.key.program, arguments)
     return {
-        int(i): part[:, entry]
+        i: part[:, entry]
         for array, result in zip(call.results, results, strict=True)
-        for column, part in zip(array.T, np.split(result, count), strict=True)
-        for entry, i in enumerate(column.tolist())
+        for row, part in zip(array, np.split(result, len(array)), strict=True)
+        for entry, i in enumerate(flat(row))
     }

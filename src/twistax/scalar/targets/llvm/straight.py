@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 import numpy as np
 
 from ...graph import OpaqueCall
-from ...primitives.interface import PRODUCT, flat, is_loop, kernel_of
+from ...primitives.interface import PRODUCT, by_columns, flat, is_loop, kernel_of
 from ...program import ScalarProgram
 from .code import Code, Module
 from .kernel_body import TURNING, KernelBody, Rounded, Scalars, arguments_of, by_numpy, native_form, needed_by
@@ -94,11 +94,11 @@ class Straight(KernelBody):
 
     def _call(self, code: Code, scratch: Scratch, memory: str, call: OpaqueCall, places: Sequence[int]) -> None:
         """Call the function of a repeated program, with its arguments and results in memory."""
-        module, count = code.module, call.arguments[0].shape[1]
+        module, count = code.module, len(call.arguments[0])
         if call.key not in module.called:
             name = module.called[call.key] = f"repeat.{len(module.called)}"
             RepeatedBody(native_form(call.key.program), count, name).write(module)
-        results = [scratch.row(flat(array)) for array in call.results]
+        results = [scratch.row(by_columns(array)) for array in call.results]
         starts = [code.emit(f"getelementptr i8, ptr {memory}, i64 {8 * place}") for place in (*places, *results)]
         pointers = ", ".join(f"ptr {start}" for start in starts)
         code.lines.append(f"call void @{module.called[call.key]}(i64 {count - 1}, {pointers})")
