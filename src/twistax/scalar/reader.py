@@ -123,7 +123,7 @@ class JaxprReader:
         """The results of a scalar program for rows of arguments, written out or as a call, as the limits say."""
         g, variables = self.graph, [v for v in eqn.invars if not isinstance(v, Literal)]
         distinct = len(set(variables)) == len(eqn.invars) and not eqn.params["batch"].shared
-        if g.limits.products < math.inf and program.operations >= LEAST_REPEATED and distinct:
+        if g.limits.products < math.inf and distinct and repeats_in_kernels(program, g):
             g.inside += len(arguments[0]) * program.operations
             function = alone(self._reading[-1], eqn, variables)
             results = [array.copy() for array in g.call(function, Repeated(program), arguments, True).results]
@@ -254,6 +254,13 @@ class JaxprReader:
 
 #: Parameters of a jitted function on which no computed value depends.
 _MOVED = frozenset(WHERE.split())
+
+
+def repeats_in_kernels(program: ScalarProgram, graph: ScalarGraph) -> bool:
+    """Whether kernels may compute a program that a graph contains several times in a function, side by side."""
+    arrays = [*map(program.graph.dtype_of, program.inputs), *program.types]
+    fits = program.graph.simplifies_as(graph) and all(dtype == graph.dtype == np.float64 for dtype in arrays)
+    return fits and program.operations >= LEAST_REPEATED
 
 
 def _fingerprint(program: ClosedJaxpr) -> Any:

@@ -15,9 +15,10 @@ import numpy as np
 
 from ..expr import Control, Equality, Expr, Inputs, Parameter, State, evaluate_all, leaves_of, postorder
 from ..expr.functions.function import Call
+from ..expr.transformations.vmap import elements_by
 from ..jax_inside import is_traced
 from ..progress import say_once, watched
-from ..scalar.backends import Backend, Emission
+from ..scalar.backends import Backend, Emission, has_members
 from ..scalar.graph import TooLarge
 from ..scalar.jax_primitive import Derived, call_program
 from ..scalar.small_call import no_small_call
@@ -25,7 +26,6 @@ from ..scalar.walk import uncollected
 from .expressions import canonical, chosen_outputs, constants_of, silent
 from .inputs import CallArguments, Values
 from .jacobian import LARGEST, Differentiated, Places, RateJacobian, blocks_in_arrays, check_kinds, fewer
-from ..expr.transformations.vmap import elements_by
 from .repeat import copies_in_a_kernel, traced_once
 from .system import System, entry_names
 
@@ -248,13 +248,17 @@ class Functions:
         backend = self.backend.in_loops() if in_loop else self.backend
 
         def make() -> tuple[Emission, Any]:
-            def traced() -> tuple[Any, Any]:
+            def traced(members: bool = False) -> tuple[Any, Any]:
                 written = jax.make_jaxpr(lambda *arguments: self.as_written(family, *arguments), return_shape=True)
-                with elements_by(traced_once):
-                  return written(*jax.tree.unflatten(structure, list(itertools.starmap(jax.ShapeDtypeStruct, types))))
+                with elements_by(parts=traced_once) if members else contextlib.nullcontext():
+                    return written(*jax.tree.unflatten(structure, list(itertools.starmap(jax.ShapeDtypeStruct, types))))
 
-            closed, shape = traced()
-            emission = backend.emit(closed, jax.tree.leaves(jax.tree.unflatten(structure, range(len(types)))[3]))
+            fixed = jax.tree.leaves(jax.tree.unflatten(structure, range(len(types)))[3])
+            closed, shape = traced(backend.writes_members)
+            emission = backend.emit(closed, fixed)
+            if emission.program is None and has_members(closed.jaxpr):  # JAX runs it, as it was written
+                closed, shape = traced()
+                emission = backend.emit(closed, fixed)
             emission = copies_in_a_kernel(emission, self.backend, self.families[family], traced)
             return emission, jax.tree.structure(shape)
 
@@ -322,7 +326,7 @@ class Functions:
 
         def make() -> RateJacobian:
             def traced(function: Callable[..., list[jax.Array]]) -> Differentiated:
-                with elements_by(traced_once):
+                with elements_by(parts=traced_once):
                     closed = jax.make_jaxpr(functools.partial(function, places))(*arrays)
                 return Differentiated(closed, places, self.group, wrt)
 

@@ -34,13 +34,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import ModelError
-from ...expr import Block, Concat, Constant, Expr, Hstack, InverseFactor, InversePositive, Stack, Where
+from ...expr import Block, Concat, Constant, Expr, Hstack, InverseFactor, Stack, Where
 from ...expr.fields import ExprLike
 from ..kinematic_tree import KinematicTree, Positions
 from ..tree import Segment
 from .branch import NOTHING, Branch, Columns, MovingFrame
 from .dynamics import Wrenches, checked, outside
 from .forward_dynamics import forward_dynamics
+from .inertia_frames import mirrored
 from .limbs import equal_limbs, others
 from .motion import ZERO
 from .rotors import turning_by_velocities
@@ -136,7 +137,7 @@ def acceleration_derivatives(
     qdd_by_q, qdd_by_qd = both[:, :n], both[:, n:]
     if moved is not None and hastened is not None:
         qdd_by_q, qdd_by_qd = qdd_by_q - moved, qdd_by_qd - hastened
-    return AccelerationDerivatives(qdd_by_q, qdd_by_qd, InversePositive(M))
+    return AccelerationDerivatives(qdd_by_q, qdd_by_qd, mirrored(V @ V.T))
 
 
 class _Perturbed:

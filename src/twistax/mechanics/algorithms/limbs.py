@@ -22,7 +22,7 @@ from ..kinematic_tree import KinematicTree
 from ..tree import Segment
 
 #: A map over limbs with fewer segments takes as long to build as their expressions.
-_FEWEST = 3
+_FEWEST = 2
 
 #: The numbers of a body.
 _BODY = ("mass", "center_of_mass", "inertia", "matrix")
@@ -97,7 +97,7 @@ class Limbs:
             return Concat(*(_reshaped(result, (math.prod(result.shape),)) for result in results))
 
         numbers = [Constant(np.stack(self._varying.columns, axis=1))] if self._varying.columns else []
-        return Mapped(Vmap(one, [*numbers, *batches]).of_copies(), shapes)
+        return Mapped(Vmap(one, [*numbers, *batches]).of_parts(), shapes)
 
     def _segments(self, numbers: Expr) -> dict[int, Segment]:
         """The segments of one limb, with its row of the numbers in which limbs differ."""

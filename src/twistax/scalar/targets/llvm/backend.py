@@ -291,6 +291,10 @@ class Native(Backend):
         reason = f"native: loops over arrays, {array_operations(closed.jaxpr).total():,} operations"
         return Emission(lambda *a: call_program(program, *a), None, reason, loops=True)
 
+    @property
+    def writes_members(self) -> bool:
+        return self.scalars.writes_members
+
     def derived(self, program: ScalarProgram) -> Derived:
         return self._kernels(program)[0] or Derived(program)
 

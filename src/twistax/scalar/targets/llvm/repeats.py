@@ -15,7 +15,7 @@ from ...jax_primitive import MemberProgram, call_program
 from ...primitives.interface import Repeated, by_columns, flat, nodes
 from ...primitives.operations import OPERATIONS
 from ...program import ScalarProgram
-from ...reader import LEAST_REPEATED, renamed
+from ...reader import renamed, repeats_in_kernels
 from .code import Code
 from .pieces import Scratch
 
@@ -31,8 +31,8 @@ class _Circle(Exception):
 
 def with_functions(program: ScalarProgram) -> ScalarProgram:
     """The program with calls of the programs that it contains several times; itself where that makes it no shorter."""
-    repeats = [repeat for repeat in program.graph.repeats if repeat.program.operations >= LEAST_REPEATED]
-    if not repeats or program.dtype != np.float64:
+    repeats = [repeat for repeat in program.graph.repeats if repeats_in_kernels(repeat.program, program.graph)]
+    if not repeats:
         return program
     try:
         shorter = _Exchange(program, repeats).made()
