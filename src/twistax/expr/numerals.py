@@ -103,7 +103,12 @@ def _computed(closed: ClosedJaxpr, values: Sequence[Any]) -> list[np.ndarray]:
 _OFTEN = 3
 
 #: What decides, besides its operands, what JAX traces of a formula.
-_CONFIGURATION = "jax_enable_x64", "jax_default_matmul_precision", "jax_numpy_dtype_promotion", "jax_numpy_rank_promotion"
+_CONFIGURATION = (
+    "jax_enable_x64",
+    "jax_default_matmul_precision",
+    "jax_numpy_dtype_promotion",
+    "jax_numpy_rank_promotion",
+)
 
 
 class RepeatedFormulas:

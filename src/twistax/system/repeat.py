@@ -20,8 +20,8 @@ from ..expr.transformations.vmap import elements_by
 from ..groups.power import GroupPower
 from ..scalar.backends import JAX, Backend, Emission
 from ..scalar.fast import part_of_package
-from ..scalar.jax_primitive import MemberProgram, call_program
 from ..scalar.graph import TooLarge
+from ..scalar.jax_primitive import MemberProgram, call_program
 from ..scalar.reader import scalarize
 from ..scalar.targets.llvm.backend import Native, installed
 from .composable import named_leaves

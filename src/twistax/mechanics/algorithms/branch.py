@@ -133,7 +133,7 @@ class Branch:
 
     def gather(self) -> tuple[Spread, Expr]:
         """Sum the masses and wrenches from the tips to the base; gives those of the first segment."""
-        for i in reversed(self._segments):
+        for i in reversed(list(self._segments)):
             if (before := self._segments[i].before) >= 0:
                 self.add(before, self._spreads[i], self._F[i])
         first = next(iter(self._segments))

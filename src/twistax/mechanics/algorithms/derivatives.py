@@ -42,7 +42,7 @@ from .branch import NOTHING, Branch, Columns, MovingFrame
 from .dynamics import Wrenches, checked, outside
 from .forward_dynamics import forward_dynamics
 from .inertia_frames import mirrored
-from .limbs import equal_limbs, others
+from .limbs import coordinates_of, equal_limbs, others
 from .motion import ZERO
 from .rotors import turning_by_velocities
 from .spread import Spread
@@ -226,7 +226,7 @@ class _Perturbed:
     def by_acceleration(self, changes: dict[int, Expr]) -> Expr:
         """The change of the forces under a change of the accelerations of the first segments."""
         columns = list[Expr]()
-        for number, freedom in enumerate(self._trunk.freedoms):
+        for number in range(len(self._trunk.freedoms)):
             change = changes.get(number, NOTHING)
             beyond = [self._trunk.carry(other.place)[number] for other in self._trunk.freedoms]
             parts: list[Expr] = [Where(np.array(beyond), self._trunk.felt @ change, np.zeros(len(beyond)))]
@@ -279,7 +279,7 @@ def _limb(
     """What a limb adds to its parent, and the attributes of `_Limb`."""
     rows = iter(pushes)
     on_limb = {i: next(rows) if pushed[i] else None for i in segments}
-    transforms = {i: segment.link.transform(q[segment.coordinates]) for i, segment in segments.items()}
+    transforms = {i: segment.link.transform(q[coordinates_of(segment)]) for i, segment in segments.items()}
     branch = Branch(segments, transforms, qd, qdd, MovingFrame(T, V, A), on_limb)
     spread, F = branch.gather()
     by_q, by_qd, M = branch.by_position(), branch.by_velocity(), branch.mass_matrix()

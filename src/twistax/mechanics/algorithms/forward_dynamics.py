@@ -20,9 +20,10 @@ from ..tree import Segment
 from .closed_loops import closed_dynamics
 from .dynamics import Wrenches, bias_forces, checked, less, mass_matrix, outside
 from .inertia_frames import in_frame, mirrored
-from .limbs import Mapped, equal_limbs, others
+from .limbs import Mapped, coordinates_of, equal_limbs, others
 from .motion import ZERO, Carried, Moving, acceleration_of_base, motion_of
 from .rotors import turning_of_rotors
+
 
 def forward_dynamics(
     mechanism: KinematicTree,
@@ -99,12 +100,10 @@ def _by_recursion(
     return Concat(*(qdd[i] for i in range(mechanism.dofs)))
 
 
-def _inward(
-    moving: Mapping[int, Moving], I: dict[int, Expr], b: dict[int, Expr], forces: Expr
-) -> dict[int, _Hinge]:
+def _inward(moving: Mapping[int, Moving], I: dict[int, Expr], b: dict[int, Expr], forces: Expr) -> dict[int, _Hinge]:
     """The pass from the tips to the base, from the inertias and biases of single segments."""
     hinges: dict[int, _Hinge] = {}
-    for i in reversed(moving):
+    for i in reversed(list(moving)):
         hinges[i] = _Hinge(moving[i], I[i], b[i], forces)
         before = moving[i].segment.before
         if before >= 0:
@@ -132,7 +131,7 @@ def _limb_inward(
 ) -> list[Expr]:
     """What the parent of a limb feels, and what the pass to the tips needs."""
     rows = iter(pushes)
-    moving = motion_of(segments, {i: q[segment.coordinates] for i, segment in segments.items()}, qd, w)
+    moving = motion_of(segments, {i: q[coordinates_of(segment)] for i, segment in segments.items()}, qd, w)
     I = {i: state.inertia for i, state in moving.items()}
     b = {i: less(state.needed, next(rows) if pushed[i] else None) for i, state in moving.items()}
     hinges = _inward(moving, I, b, tau)
@@ -148,7 +147,7 @@ def _limb_outward(passed: Mapped, segments: dict[int, Segment], row: Expr, B: Ex
     results = iter(passed.of(row, 2))
     kept = dict[int, _Kept]()
     for i, segment in segments.items():
-        p = parts_of_pose(segment.link.transform(q[segment.coordinates]))[1]
+        p = parts_of_pose(segment.link.transform(q[coordinates_of(segment)]))[1]
         T, centripetal, coriolis = Pose(next(results), p), next(results), next(results)
         shares, alone = ([next(results) for _ in segment.freedoms] for _ in range(2))
         kept[i] = _Kept(T, centripetal, coriolis, shares, alone)

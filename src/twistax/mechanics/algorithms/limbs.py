@@ -73,11 +73,8 @@ class Limbs:
 
     def pushes(self, pushes: Sequence[Expr | None]) -> list[Expr]:
         """The external wrenches (limbs, 6) on segments that have some."""
-        return [
-            Stack(*(pushes[root + k] for root in self.roots))
-            for k in range(self.size)
-            if pushes[self.roots[0] + k] is not None
-        ]
+        rows = ([pushes[root + k] for root in self.roots] for k in range(self.size))
+        return [Stack(*(push for push in row if push is not None)) for row in rows if row[0] is not None]
 
     def map(self, function: Callable[..., Sequence[Expr]], batches: Sequence[Expr]) -> Mapped:
         """A function of one limb for all of them.
@@ -101,12 +98,12 @@ class Limbs:
 
     def _segments(self, numbers: Expr) -> dict[int, Segment]:
         """The segments of one limb, with its row of the numbers in which limbs differ."""
-        root, freedom, coordinate = self.roots[0], self._first[0].freedoms[0], self._first[0].coordinates.start
+        root, freedom, coordinate = self.roots[0], self._first[0].freedoms[0], coordinates_of(self._first[0]).start
         pool = Concat(numbers, Constant(np.array(self._varying.common))) if self._varying.columns else numbers
         result = dict[int, Segment]()
         for k, (segment, parts) in enumerate(zip(self._first, self._parts, strict=True)):
             known = {name: part if isinstance(part, Expr) else part.value(pool) for name, part in parts.items()}
-            link, at = segment.link, segment.coordinates
+            link, at = segment.link, coordinates_of(segment)
             mount: Expr = link.mount
             if not isinstance(parts["turn"], Expr) or not isinstance(parts["shift"], Expr):
                 mount = Pose(known["turn"], known["shift"])
@@ -136,7 +133,10 @@ class Mapped(NamedTuple):
         """Some of the results from a row."""
         ends = list(itertools.accumulate(map(math.prod, self.shapes), initial=0))
         places = range(len(self.shapes))[first:last]
-        return [_reshaped(row[ends[k]] if not self.shapes[k] else row[ends[k] : ends[k + 1]], self.shapes[k]) for k in places]
+        return [
+            _reshaped(row[ends[k]] if not self.shapes[k] else row[ends[k] : ends[k + 1]], self.shapes[k])
+            for k in places
+        ]
 
 
 def equal_limbs(mechanism: KinematicTree, pushes: Sequence[Expr | None]) -> list[Limbs]:
@@ -150,7 +150,7 @@ def equal_limbs(mechanism: KinematicTree, pushes: Sequence[Expr | None]) -> list
     for i in reversed(range(len(segments))):
         if segments[i].before >= 0:
             ends[segments[i].before] = max(ends[segments[i].before], ends[i])
-    alike: dict[Hashable, list[int]] = {}
+    alike: dict[tuple[Any, ...], list[int]] = {}
     kinds = [_structure(segment, push) for segment, push in zip(segments, pushes, strict=True)]
     for i, segment in enumerate(segments):
         size = ends[i] - i
@@ -170,6 +170,12 @@ def others(mechanism: KinematicTree, groups: Sequence[Limbs]) -> dict[int, Segme
     """The segments that are on no limb of these, by index."""
     taken = {i for group in groups for k in range(len(group.roots)) for i in group.places(k)}
     return {i: segment for i, segment in enumerate(mechanism.segments) if i not in taken}
+
+
+def coordinates_of(segment: Segment) -> slice:
+    """The coordinates of a segment on a limb, whose joint is on no group."""
+    assert segment.coordinates is not None
+    return segment.coordinates
 
 
 def _structure(segment: Segment, push: Expr | None) -> Hashable:
@@ -260,9 +266,9 @@ class _Part:
     def value(self, pool: Expr) -> Expr:
         """The array of a limb, from its row of the columns, with the common numbers after it."""
         count = len(self.varying.columns)
-        entries = pool[np.array([place if place >= 0 else count - 1 - place for place in self.places])]
+        entries: Expr = pool[np.array([place if place >= 0 else count - 1 - place for place in self.places])]
         if not (self.signs == 1.0).all():
-            entries = self.signs * entries
+            entries = Constant(self.signs) * entries
         return entries[0] if not self.shape else _reshaped(entries, self.shape)
 
 

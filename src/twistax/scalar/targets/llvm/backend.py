@@ -52,8 +52,8 @@ from .kernel import HostKernel, Kernel
 from .kernel_body import KernelBody, native_form
 from .machine_code import BuildError, Processor, installed
 from .self_test import check_kernel
-from .straight import Straight
 from .step_kernels import StepKernels
+from .straight import Straight
 
 #: An event of `jax.monitoring` for each kernel, with the seconds to make it or to read it from the cache.
 KERNEL_EVENT = "/twistax/kernel"

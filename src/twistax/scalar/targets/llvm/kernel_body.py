@@ -52,7 +52,9 @@ def native_form(program: ScalarProgram, *, products: bool = False) -> ScalarProg
         NotNative: it calls functions, or has numbers or operations, that have no native form, or grows too large.
     """
     try:
-        form = emitted_form(with_functions(program), _WITH_PRODUCTS) if products else emitted_form(program, NATIVE_LIMITS)
+        form = (
+            emitted_form(with_functions(program), _WITH_PRODUCTS) if products else emitted_form(program, NATIVE_LIMITS)
+        )
     except TooLarge as error:
         raise NotNative(str(error).splitlines()[0]) from error
     g = form.graph

@@ -195,7 +195,9 @@ class Columns(Rows):
         self._code.call("void", "llvm.memset.p0.i64", ("ptr", pointer), ("i8", "0"), ("i64", size), ("i1", "false"))
 
     def _gathered(self, entry: int) -> str:
-        return self._code.emit(f"load {self._code.vector(self._array.kind)}, ptr {self._place(entry)}, align {self._align}")
+        return self._code.emit(
+            f"load {self._code.vector(self._array.kind)}, ptr {self._place(entry)}, align {self._align}"
+        )
 
     def _scatter(self, entry: int, value: str) -> None:
         vector = self._code.vector(self._array.kind)

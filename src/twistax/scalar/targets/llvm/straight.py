@@ -6,9 +6,8 @@ import functools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from numpy.typing import NDArray
-
 import numpy as np
+from numpy.typing import NDArray
 
 from ...graph import OpaqueCall
 from ...primitives.interface import PRODUCT, by_columns, flat, is_loop, kernel_of
@@ -98,7 +97,7 @@ class Straight(KernelBody):
         if call.key not in module.called:
             name = module.called[call.key] = f"repeat.{len(module.called)}"
             RepeatedBody(native_form(call.key.program), count, name).write(module)
-        results = [scratch.row(by_columns(array)) for array in call.results]
+        results = [scratch.slots[by_columns(array)[0]] for array in call.results]
         starts = [code.emit(f"getelementptr i8, ptr {memory}, i64 {8 * place}") for place in (*places, *results)]
         pointers = ", ".join(f"ptr {start}" for start in starts)
         code.lines.append(f"call void @{module.called[call.key]}(i64 {count - 1}, {pointers})")
@@ -129,7 +128,9 @@ class RepeatedBody(Straight):
         long, calls = module.long, module.calls
         self.body(code, self._moved(code))
         module.long, module.calls = module.long or long, calls
-        module.functions[self.name] = code.function(f"internal void @{self.name}(i64 %last{self._heads('ptr noalias')})")
+        module.functions[self.name] = code.function(
+            f"internal void @{self.name}(i64 %last{self._heads('ptr noalias')})"
+        )
 
     @property
     def arrays(self) -> dict[str, Array]:
