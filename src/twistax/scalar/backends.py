@@ -146,7 +146,8 @@ class Backend(ABC):
     @property
     def writes_members(self) -> bool:
         """Whether programs of members may be written out in its programs; see `MemberProgram`."""
-        return False
+        scalars = getattr(self, "scalars", None)
+        return isinstance(scalars, XLA) and scalars.writes_members
 
     def in_loops(self) -> Backend:
         """The backend for functions inside the loop of an integrator."""

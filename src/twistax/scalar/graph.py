@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ..errors import ModelError
 from ..jax_inside import ClosedJaxpr
 from .primitives.entry import Operation
-from .primitives.interface import Limits, Nodes, flat, nodes
+from .primitives.interface import Limits, Nodes, Repeat, flat, nodes
 from .primitives.operations import OPERATIONS
 from .primitives.powers import factors_in_range
 from .walk import walk
@@ -72,20 +72,6 @@ class OpaqueCall:
         return flat(*self.results)[:1]
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Repeat:
-    """A program that a graph contains several times, simplified in each place.
-
-    Attributes:
-        program: a `ScalarProgram`.
-        arguments, results: arrays of nodes, with one row for each time; -1 for nodes that are not needed.
-    """
-
-    program: Any
-    arguments: tuple[Nodes, ...]
-    results: tuple[Nodes, ...]
-
-
 LIMITS = Limits()
 
 
@@ -123,8 +109,7 @@ class ScalarGraph:
         self.dtypes: list[np.dtype[Any]] = []
         #: The number where a node is one, else None.
         self.numbers: list[Any] = []
-        self.calls: list[OpaqueCall] = []
-        self.repeats: list[Repeat] = []
+        self.calls, self.repeats = list[OpaqueCall](), list[Repeat]()
         #: Operations in calls that emitters may write out; they count as nodes.
         self.inside = 0
         #: The operation of a node; None for numbers, inputs and results of calls. And the nodes that it reads.

@@ -65,7 +65,6 @@ class Computed(ABC):
         results: the shapes and types of the results.
         function: from arguments to results of one member; pure and traceable.
         exports_kernels: whether exported programs, too, call its kernels, by their names.
-        written_out: whether a batch of it is written out, member by member, in programs of which it is a part.
     """
 
     results: Any
@@ -219,13 +218,6 @@ class Derived(Differentiable):
         if any(i in moving for i in back.program.flat):
             raise NotImplementedError(NOT_LINEAR)
         return back
-
-
-@weakly_kept
-class MemberProgram(Derived):
-    """A program of which the members of a small batch are part of one program: traced once, and read once."""
-
-    written_out = True
 
 
 #: A program that XLA runs; it may be part of a small call.

@@ -4,12 +4,9 @@ graph.
 
 from __future__ import annotations
 
-import functools
 import math
-import os
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -23,61 +20,20 @@ from ..jax_inside import (
     Unread,
     all_equations,
     alone,
-    inner_jaxprs,
     is_key,
-    jaxpr_as_fun,
     on_key_data,
-    source_of,
 )
-from .graph import LIMITS, OpaqueCall, Repeat, ScalarGraph
-from .primitives.interface import Limits, Nodes, Repeated, flat, nodes, stays_call
+from .graph import LIMITS, OpaqueCall, ScalarGraph
+from .parts.custom_derivative import CustomDerivative
+from .primitives.interface import Limits, Nodes, Repeat, Repeated, flat, nodes, stays_call
 from .primitives.piecewise_constant import piecewise_constant
-from .primitives.table import OPERATIONS, WHERE, entry_of, say_unread
+from .primitives.table import OPERATIONS, entry_of, say_unread
 from .program import ScalarProgram
 
 _DIV, _NEG = OPERATIONS["div"], OPERATIONS["neg"]
 
 #: Programs of fewer operations are written out each time.
 LEAST_REPEATED = 200
-
-#: The directory of this package.
-_PACKAGE = str(Path(__file__).parents[2]) + os.sep
-
-
-class _CustomDerivative:
-    """A key for functions with a custom derivative. Equal if both do the same; derivatives are traced only to compare.
-
-    Those of this package, by name and place, have one derivative, which is not traced for it.
-    """
-
-    def __init__(self, name: str, body: ClosedJaxpr, equation: ClosedJaxpr) -> None:
-        self._alone = equation
-        source = source_of(body) or ""
-        self.key = (name, source, _fingerprint(equation))
-        self._named = f" at {_PACKAGE}" in source
-
-    def __hash__(self) -> int:
-        return hash(self.key)
-
-    def __eq__(self, other: object) -> bool:
-        return (
-            isinstance(other, _CustomDerivative)
-            and self.key == other.key
-            and (self._named or self.transpose == other.transpose)
-        )
-
-    @functools.cached_property
-    def transpose(self) -> Any:
-        avals = [jax.ShapeDtypeStruct(v.aval.shape, v.aval.dtype) for v in self._alone.jaxpr.invars]
-
-        def real(*values: Any) -> Any:
-            return [r for r in jaxpr_as_fun(self._alone)(*values) if jnp.issubdtype(r.dtype, jnp.inexact)]
-
-        def linear(*values: Any) -> Any:
-            results, back = jax.vjp(real, *values)
-            return [c for c in back([jnp.ones_like(r) for r in results]) if c.dtype != jax.dtypes.float0]
-
-        return _fingerprint(jax.make_jaxpr(linear)(*avals))
 
 
 class JaxprReader:
@@ -151,7 +107,7 @@ class JaxprReader:
         distinct = {v: a for v, a in zip(eqn.invars, arrays, strict=True) if not isinstance(v, Literal)}
         equation = on_key_data(alone(self._reading[-1], eqn, list(distinct)))
         # A function that is unrolled for its derivative alone has no effects: equal functions are one call.
-        key = (key or object()) if body is None else _CustomDerivative(eqn.primitive.name, body, equation)
+        key = (key or object()) if body is None else CustomDerivative(eqn.primitive.name, body, equation)
         return list(self.graph.call(equation, key, distinct.values(), body is not None).results)
 
     def copy(
@@ -252,50 +208,11 @@ class JaxprReader:
         return any(jnp.issubdtype(dtype, jnp.inexact) and dtype != self.graph.dtype for dtype in dtypes)
 
 
-#: Parameters of a jitted function on which no computed value depends.
-_MOVED = frozenset(WHERE.split())
-
-
 def repeats_in_kernels(program: ScalarProgram, graph: ScalarGraph) -> bool:
     """Whether kernels may compute a program that a graph contains several times in a function, side by side."""
     arrays = [*map(program.graph.dtype_of, program.inputs), *program.types]
     fits = program.graph.simplifies_as(graph) and all(dtype == graph.dtype == np.float64 for dtype in arrays)
     return fits and program.operations >= LEAST_REPEATED
-
-
-def _fingerprint(program: ClosedJaxpr) -> Any:
-    """Equal for jaxprs that do the same to arguments of the same types."""
-    jaxpr = program.jaxpr
-    names: dict[Any, int] = {}
-
-    def name(variable: Any) -> Any:
-        if isinstance(variable, Literal):
-            return (variable.aval, np.asarray(variable.val).tobytes())
-        return names.setdefault(variable, len(names))
-
-    head = tuple((name(v), v.aval) for v in (*jaxpr.constvars, *jaxpr.invars))
-    body = []
-    for eqn in jaxpr.eqns:
-        # Callables are the rules of a function with a derivative of its own, which `_CustomDerivative` compares.
-        # Elsewhere, as in a callback, they are the operation itself.
-        rules = eqn.primitive.name in ("custom_jvp_call", "custom_vjp_call")
-        moved = _MOVED if eqn.primitive.name == "jit" else ()
-        params = [
-            (k, v)
-            for k, v in sorted(eqn.params.items())
-            if not (k in moved or _holds_jaxprs(v) or (rules and callable(v)))
-        ]
-        inner = tuple(_fingerprint(jaxpr_inside) for jaxpr_inside in inner_jaxprs(eqn))
-        ins, outs = tuple(map(name, eqn.invars)), tuple(map(name, eqn.outvars))
-        body.append((eqn.primitive.name, str(params), inner, ins, outs))
-    consts = tuple((np.asarray(c).dtype.str, np.asarray(c).tobytes()) for c in program.consts)
-    return (head, tuple(body), tuple(map(name, jaxpr.outvars)), consts)
-
-
-def _holds_jaxprs(parameter: Any) -> bool:
-    """Whether a parameter of an equation is a jaxpr or a sequence with one among its entries."""
-    entries = parameter if isinstance(parameter, (tuple, list)) else (parameter,)
-    return any(hasattr(entry, "eqns") for entry in entries)
 
 
 def renamed(known: dict[int, int], array: Nodes) -> Nodes:

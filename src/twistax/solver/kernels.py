@@ -27,7 +27,7 @@ from ..scalar.targets.llvm.kernel import HostKernel
 from ..scalar.targets.llvm.kernel_body import NATIVE_LIMITS, by_numpy, native_form
 from ..scalar.targets.llvm.machine_code import BuildError, Processor
 from ..scalar.targets.llvm.self_test import check_kernel
-from ..scalar.targets.llvm.straight import Straight
+from ..scalar.targets.llvm.straight.body import Straight
 from ..scalar.walk import uncollected
 from ..system.functions import Cache
 from ..system.hessian import REFUSALS, WeightedHessian, hessian_in_arrays

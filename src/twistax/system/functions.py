@@ -242,9 +242,7 @@ class Functions:
     def emission(
         self, family: str, structure: Any, types: tuple[tuple[tuple[int, ...], Any], ...], *, in_loop: bool = False
     ) -> tuple[Emission, Any]:
-        """How a family of functions is executed for arguments of these (shape, type), and the structure of its
-        results.
-        """
+        """How a family of functions is executed for arguments of these (shape, type); the structure of its results."""
         backend = self.backend.in_loops() if in_loop else self.backend
 
         def make() -> tuple[Emission, Any]:
@@ -254,11 +252,11 @@ class Functions:
                     return written(*jax.tree.unflatten(structure, list(itertools.starmap(jax.ShapeDtypeStruct, types))))
 
             fixed = jax.tree.leaves(jax.tree.unflatten(structure, range(len(types)))[3])
-            closed, shape = traced(backend.writes_members)
-            emission = backend.emit(closed, fixed)
-            if emission.program is None and has_members(closed.jaxpr):  # JAX runs it, as it was written
-                closed, shape = traced()
+            for members in (backend.writes_members, False):
+                closed, shape = traced(members)
                 emission = backend.emit(closed, fixed)
+                if emission.program is not None or not has_members(closed.jaxpr):
+                    break  # else JAX runs it, as it is written
             emission = copies_in_a_kernel(emission, self.backend, self.families[family], traced)
             return emission, jax.tree.structure(shape)
 

@@ -21,7 +21,8 @@ from ..groups.power import GroupPower
 from ..scalar.backends import JAX, Backend, Emission
 from ..scalar.fast import part_of_package
 from ..scalar.graph import TooLarge
-from ..scalar.jax_primitive import MemberProgram, call_program
+from ..scalar.jax_primitive import call_program
+from ..scalar.parts.member_program import MemberProgram
 from ..scalar.reader import scalarize
 from ..scalar.targets.llvm.backend import Native, installed
 from .composable import named_leaves

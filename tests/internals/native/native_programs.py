@@ -14,7 +14,7 @@ from twistax.scalar.program import ScalarProgram
 from twistax.scalar.targets.llvm.kernel import HostKernel
 from twistax.scalar.targets.llvm.kernel_body import native_form
 from twistax.scalar.targets.llvm.machine_code import Processor
-from twistax.scalar.targets.llvm.straight import Straight
+from twistax.scalar.targets.llvm.straight.body import Straight
 
 pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 

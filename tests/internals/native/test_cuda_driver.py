@@ -19,7 +19,7 @@ from twistax.scalar.targets.cuda.kernel import CudaKernel
 from twistax.scalar.targets.llvm import backend, kernel, self_test
 from twistax.scalar.targets.llvm.kernel_body import native_form
 from twistax.scalar.targets.llvm.machine_code import BuildError, MachineCode, Processor, compiled, load
-from twistax.scalar.targets.llvm.straight import Straight
+from twistax.scalar.targets.llvm.straight.body import Straight
 
 #: What a thread asks of the device: its place, which is a variable here.
 _INDEX = re.compile(r"call i32 @llvm\.nvvm\.read\.ptx\.sreg\.(\w+)\.x\(\)")

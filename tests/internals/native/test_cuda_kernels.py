@@ -29,7 +29,7 @@ from twistax.scalar.targets.llvm.kernel_body import KernelBody
 from twistax.scalar.targets.llvm.lanes import Array
 from twistax.scalar.targets.llvm.machine_code import Processor, compiled, load
 from twistax.scalar.targets.llvm.self_test import check_kernel
-from twistax.scalar.targets.llvm.straight import Straight
+from twistax.scalar.targets.llvm.straight.body import Straight
 
 #: This processor, with the formulas of devices: functions of single precision in single precision.
 NARROW = dataclasses.replace(Processor.host(), triple="formulas of devices", fma=True)

@@ -20,7 +20,7 @@ from twistax.scalar.targets.llvm.code import Module
 from twistax.scalar.targets.llvm.kernel import HostKernel
 from twistax.scalar.targets.llvm.kernel_body import native_form
 from twistax.scalar.targets.llvm.machine_code import Processor
-from twistax.scalar.targets.llvm.straight import Straight
+from twistax.scalar.targets.llvm.straight.body import Straight
 
 
 def functions(x: jax.Array) -> list[jax.Array]:

@@ -19,7 +19,7 @@ from twistax.scalar.targets.llvm import machine_code, pieces
 from twistax.scalar.targets.llvm.kernel import HostKernel
 from twistax.scalar.targets.llvm.kernel_body import by_numpy, native_form
 from twistax.scalar.targets.llvm.machine_code import Processor, compiled
-from twistax.scalar.targets.llvm.straight import Straight
+from twistax.scalar.targets.llvm.straight.body import Straight
 
 
 def mixed(x: jax.Array, n: jax.Array) -> list[jax.Array]:

@@ -21,7 +21,7 @@ import twistax as tx
 from twistax.scalar.jax_primitive import Derived, call_program
 from twistax.scalar.reader import scalarize
 from twistax.scalar.targets.llvm.machine_code import Processor
-from twistax.scalar.targets.llvm.straight import Straight
+from twistax.scalar.targets.llvm.straight.body import Straight
 
 RNG = np.random.default_rng(0)
 X, A = RNG.normal(size=3), RNG.normal(size=(3, 3))

@@ -150,15 +150,15 @@ def equal_limbs(mechanism: KinematicTree, pushes: Sequence[Expr | None]) -> list
     for i in reversed(range(len(segments))):
         if segments[i].before >= 0:
             ends[segments[i].before] = max(ends[segments[i].before], ends[i])
-    alike: dict[tuple[Any, ...], list[int]] = {}
+    roots_by_structure: dict[tuple[Any, ...], list[int]] = {}
     kinds = [_structure(segment, push) for segment, push in zip(segments, pushes, strict=True)]
     for i, segment in enumerate(segments):
         size = ends[i] - i
         if segment.before >= 0 and size >= _FEWEST and None not in kinds[i : ends[i]]:
             before = tuple(segments[j].before - i for j in range(i + 1, ends[i]))
-            alike.setdefault((size, before, *kinds[i : ends[i]]), []).append(i)
+            roots_by_structure.setdefault((size, before, *kinds[i : ends[i]]), []).append(i)
     taken, groups = set[int](), list[Limbs]()
-    for key, roots in sorted(alike.items(), key=lambda item: -item[0][0]):
+    for key, roots in sorted(roots_by_structure.items(), key=lambda item: -item[0][0]):
         free = [root for root in roots if root not in taken]
         if len(free) > 1:
             groups.append(Limbs(mechanism, free, key[0]))
@@ -182,8 +182,8 @@ def _structure(segment: Segment, push: Expr | None) -> Hashable:
     """Equal for segments that differ only in numbers; None for one that is on no limb."""
     link, body = segment.link, segment.body
     joint = _of_joint(link.joint)
-    moves = segment.freedoms and segment.coordinates is not None and link.mimic is None
-    if joint is None or not moves or segment.inner_motion is not None:
+    is_free = segment.freedoms and segment.coordinates is not None and link.mimic is None
+    if joint is None or not is_free or segment.inner_motion is not None:
         return None
     if any(not isinstance(leaf, Constant) for leaf in leaves_of(*_numbers_of(segment).values())):
         return None

@@ -51,6 +51,7 @@ class Graph(Protocol):
     dtypes: list[np.dtype[Any]]
     numbers: list[Any]
     calls: list[Any]
+    repeats: list[Any]
     inside: int
 
     def constant(self, value: Any, dtype: np.dtype[Any] | None = None) -> int: ...
@@ -114,6 +115,20 @@ class Repeated:
     """
 
     program: Any
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Repeat:
+    """A program that a graph contains several times, simplified in each place.
+
+    Attributes:
+        program: a `ScalarProgram`.
+        arguments, results: arrays of nodes, with one row for each time; -1 for nodes that are not needed.
+    """
+
+    program: Any
+    arguments: tuple[Nodes, ...]
+    results: tuple[Nodes, ...]
 
 
 def kernel_of(call: Any) -> InKernels | None:

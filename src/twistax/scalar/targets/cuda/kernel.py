@@ -17,7 +17,7 @@ from ..llvm.handler import write_device_handler
 from ..llvm.kernel import CodeHandle, HostCodeHandle, Kernel, digest, is_in_use, named
 from ..llvm.kernel_body import KernelBody
 from ..llvm.machine_code import Processor
-from ..llvm.straight import Straight
+from ..llvm.straight.body import Straight
 from .driver import DeviceCode, driver
 from .ptx import ENTRY, assembled, device, write_kernel
 

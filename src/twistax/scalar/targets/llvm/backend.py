@@ -53,7 +53,7 @@ from .kernel_body import KernelBody, native_form
 from .machine_code import BuildError, Processor, installed
 from .self_test import check_kernel
 from .step_kernels import StepKernels
-from .straight import Straight
+from .straight.body import Straight
 
 #: An event of `jax.monitoring` for each kernel, with the seconds to make it or to read it from the cache.
 KERNEL_EVENT = "/twistax/kernel"
@@ -95,8 +95,7 @@ class Target(ABC):
             single: whether it is for one member.
             threads: of the processor, at most; None: all.
         Raises:
-            ImportError: llvmlite is not installed.
-            BuildError: it could not be compiled.
+            ImportError, BuildError: llvmlite is not installed; it could not be compiled.
         """
 
 
@@ -290,10 +289,6 @@ class Native(Backend):
             return None
         reason = f"native: loops over arrays, {array_operations(closed.jaxpr).total():,} operations"
         return Emission(lambda *a: call_program(program, *a), None, reason, loops=True)
-
-    @property
-    def writes_members(self) -> bool:
-        return self.scalars.writes_members
 
     def derived(self, program: ScalarProgram) -> Derived:
         return self._kernels(program)[0] or Derived(program)

@@ -20,8 +20,8 @@ from ...reader import emitted_form
 from .arrays.calls import results_by_numpy, write_call
 from .code import NAMES, Code, Module, NotNative
 from .lanes import Array, Rows
-from .products import product_by_numpy
-from .repeats import repeated_by_numpy, with_functions
+from .straight.products import product_by_numpy
+from .straight.repeats import repeated_by_numpy, with_functions
 from .trigonometry import sines_and_cosines
 
 #: Kernels call no library: more is unrolled than for XLA.

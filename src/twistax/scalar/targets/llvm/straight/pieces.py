@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple, TypeAlias
 
-from ...graph import OpaqueCall
-from ...primitives.interface import PRODUCT, by_columns, flat, is_loop, kernel_of
-from ...program import ScalarProgram
-from .code import NAMES, Code
-from .machine_code import Processor
+from ....graph import OpaqueCall
+from ....primitives.interface import PRODUCT, by_columns, flat, is_loop, kernel_of
+from ....program import ScalarProgram
+from ..code import NAMES, Code
+from ..machine_code import Processor
 
 #: Operations in a piece. Of functions with more the memory that LLVM takes grows.
 _LENGTH = 4000

@@ -10,13 +10,14 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from ...graph import OpaqueCall, Repeat, ScalarGraph
-from ...jax_primitive import MemberProgram, call_program
-from ...primitives.interface import Repeated, by_columns, flat, nodes
-from ...primitives.operations import OPERATIONS
-from ...program import ScalarProgram
-from ...reader import renamed, repeats_in_kernels
-from .code import Code
+from ....graph import OpaqueCall, Repeat, ScalarGraph
+from ....jax_primitive import call_program
+from ....parts.member_program import MemberProgram
+from ....primitives.interface import Repeated, by_columns, flat, nodes
+from ....primitives.operations import OPERATIONS
+from ....program import ScalarProgram
+from ....reader import renamed, repeats_in_kernels
+from ..code import Code
 from .pieces import Scratch
 
 _NEG = OPERATIONS["neg"]

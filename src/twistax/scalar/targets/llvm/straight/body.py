@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...graph import OpaqueCall
-from ...primitives.interface import PRODUCT, by_columns, flat, is_loop, kernel_of
-from ...program import ScalarProgram
-from .code import Code, Module
-from .kernel_body import TURNING, KernelBody, Rounded, Scalars, arguments_of, by_numpy, native_form, needed_by
-from .lanes import Array, Columns, Rows
+from ....graph import OpaqueCall
+from ....primitives.interface import PRODUCT, by_columns, flat, is_loop, kernel_of
+from ....program import ScalarProgram
+from ..code import Code, Module
+from ..kernel_body import TURNING, KernelBody, Rounded, Scalars, arguments_of, by_numpy, native_form, needed_by
+from ..lanes import Array, Columns, Rows
 from .pieces import PieceValues, Scratch
 from .products import write_product
 from .repeats import argument_places
