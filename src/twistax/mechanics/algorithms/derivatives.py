@@ -27,7 +27,6 @@ R. Russell, P. Wensing, Efficient analytical derivatives of rigid-body dynamics 
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -164,10 +163,9 @@ class _Perturbed:
         self._trunk = branch = Branch(trunk, transforms, self._qd, qdd, mechanism.gravity, on_trunk)
         self._limbs = list[_Limb]()
         for group in groups:
-            pushed = [push is not None for push in pushes[group.roots[0] :][: group.size]]
             frames = [group.on_parents({i: frame[k] for i, frame in branch.moving.items()}) for k in range(3)]
             batches = [*frames, group.positions(positions), group.rows(self._qd), group.rows(qdd)]
-            mapped = group.map(functools.partial(_limb, pushed), [*batches, *group.pushes(pushes)])
+            mapped = group.map(_limb, batches)
             for k, parent in enumerate(group.parents):
                 *spread, F, felt, turned, by_q, carried_q, by_qd, carried_qd, M = mapped.of(mapped.rows[k])
                 branch.add(parent, Spread(*spread), F)
@@ -265,22 +263,10 @@ class _Limb(NamedTuple):
     columns: tuple[Columns, Columns, Columns]  # with respect to positions, velocities and accelerations
 
 
-def _limb(
-    pushed: Sequence[bool],
-    segments: dict[int, Segment],
-    T: Expr,
-    V: Expr,
-    A: Expr,
-    q: Expr,
-    qd: Expr,
-    qdd: Expr,
-    *pushes: Expr,
-) -> list[Expr]:
+def _limb(segments: dict[int, Segment], T: Expr, V: Expr, A: Expr, q: Expr, qd: Expr, qdd: Expr) -> list[Expr]:
     """What a limb adds to its parent, and the attributes of `_Limb`."""
-    rows = iter(pushes)
-    on_limb = {i: next(rows) if pushed[i] else None for i in segments}
     transforms = {i: segment.link.transform(q[coordinates_of(segment)]) for i, segment in segments.items()}
-    branch = Branch(segments, transforms, qd, qdd, MovingFrame(T, V, A), on_limb)
+    branch = Branch(segments, transforms, qd, qdd, MovingFrame(T, V, A), dict.fromkeys(segments))
     spread, F = branch.gather()
     by_q, by_qd, M = branch.by_position(), branch.by_velocity(), branch.mass_matrix()
     return [*spread, F, branch.felt, branch.turned, *by_q, *by_qd, M.forces]

@@ -82,9 +82,8 @@ def _by_recursion(
     w = {i: state.w for i, state in moving.items()}
     inward = list[Mapped]()
     for group in groups:
-        one = functools.partial(_limb_inward, [push is not None for push in pushes[group.roots[0] :][: group.size]])
         batches = [group.on_parents(w), group.positions(positions), group.rows(rates), group.rows(forces)]
-        inward.append(group.map(one, [*batches, *group.pushes(pushes)]))
+        inward.append(group.map(_limb_inward, batches))
         for k, parent in enumerate(group.parents):
             felt_I, felt_b = inward[-1].of(inward[-1].rows[k], 0, 2)
             I[parent], b[parent] = I[parent] + mirrored(felt_I), b[parent] + felt_b
@@ -126,14 +125,11 @@ def _outward(
     return qdd, accelerations
 
 
-def _limb_inward(
-    pushed: Sequence[bool], segments: dict[int, Segment], w: Expr, q: Expr, qd: Expr, tau: Expr, *pushes: Expr
-) -> list[Expr]:
+def _limb_inward(segments: dict[int, Segment], w: Expr, q: Expr, qd: Expr, tau: Expr) -> list[Expr]:
     """What the parent of a limb feels, and what the pass to the tips needs."""
-    rows = iter(pushes)
     moving = motion_of(segments, {i: q[coordinates_of(segment)] for i, segment in segments.items()}, qd, w)
     I = {i: state.inertia for i, state in moving.items()}
-    b = {i: less(state.needed, next(rows) if pushed[i] else None) for i, state in moving.items()}
+    b = {i: state.needed for i, state in moving.items()}
     hinges = _inward(moving, I, b, tau)
     results = [*hinges[0].felt_before()]
     for i in moving:

@@ -71,11 +71,6 @@ class Limbs:
         """Values of the parent segments, a row for each limb."""
         return Stack(*(values[parent] for parent in self.parents))
 
-    def pushes(self, pushes: Sequence[Expr | None]) -> list[Expr]:
-        """The external wrenches (limbs, 6) on segments that have some."""
-        rows = ([pushes[root + k] for root in self.roots] for k in range(self.size))
-        return [Stack(*(push for push in row if push is not None)) for row in rows if row[0] is not None]
-
     def map(self, function: Callable[..., Sequence[Expr]], batches: Sequence[Expr]) -> Mapped:
         """A function of one limb for all of them.
 
@@ -143,7 +138,8 @@ def equal_limbs(mechanism: KinematicTree, pushes: Sequence[Expr | None]) -> list
     """The largest limbs of equal structure, on whatever segments they stand.
 
     Args:
-        pushes: the external wrench on each segment, or None.
+        pushes: the external wrench on each segment, or None. Segments with one are on no limb, so that the order of
+            controls does not depend on the structure.
     """
     segments = mechanism.segments
     ends = list(range(1, len(segments) + 1))
@@ -183,11 +179,11 @@ def _structure(segment: Segment, push: Expr | None) -> Hashable:
     link, body = segment.link, segment.body
     joint = _of_joint(link.joint)
     is_free = segment.freedoms and segment.coordinates is not None and link.mimic is None
-    if joint is None or not is_free or segment.inner_motion is not None:
+    if joint is None or not is_free or segment.inner_motion is not None or push is not None:
         return None
     if any(not isinstance(leaf, Constant) for leaf in leaves_of(*_numbers_of(segment).values())):
         return None
-    return joint, body is None, link.drive.rotor is None, push is None
+    return joint, body is None, link.drive.rotor is None
 
 
 def _of_joint(joint: Joint) -> Hashable:
