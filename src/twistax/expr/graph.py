@@ -151,12 +151,11 @@ def evaluate_all(roots: Sequence[Node], read: Callable[[Any], jax.Array]) -> lis
         ModelError: nested branches share subexpressions that not all of them need, so that these would be evaluated in
             every branch, too often.
     """
-    from .numerals import RepeatedFormulas  # not at import: it loads much of JAX that `import jax` does not
+    from .numerals import FORMULAS  # not at import: it loads much of JAX that `import jax` does not
 
     memo: dict[str, jax.Array] = {}
     distinct = list(walk(roots, lambda node: node.children(), _key))
     shared, needs = _shared_by_branches(roots, distinct)
-    formulas = RepeatedFormulas()
     count = 0
 
     def values(roots: Sequence[Node], scope: Hashable, known: int) -> list[jax.Array]:
@@ -189,7 +188,7 @@ def evaluate_all(roots: Sequence[Node], read: Callable[[Any], jax.Array]) -> lis
             for k, root in enumerate(node.children()[len(eager) :])
         ]
         operands = [memo[child.key()] for child in eager]
-        return node.evaluate_on_demand(operands, branches) if branches else formulas.value(node, operands)
+        return node.evaluate_on_demand(operands, branches) if branches else FORMULAS.value(node, operands)
 
     def branch(root: Node, scope: Hashable, known: int) -> jax.Array:
         before = len(memo)

@@ -102,15 +102,27 @@ def _computed(closed: ClosedJaxpr, values: Sequence[Any]) -> list[np.ndarray]:
 #: A formula is traced alone where it is met for this time.
 _OFTEN = 3
 
+#: What decides, besides its operands, what JAX traces of a formula.
+_CONFIGURATION = (
+    "jax_enable_x64",
+    "jax_default_matmul_precision",
+    "jax_numpy_dtype_promotion",
+    "jax_numpy_rank_promotion",
+)
+
 
 class RepeatedFormulas:
-    """The formulas in one evaluation of expressions: their counts, or JAX's traces of them.
+    """The formulas of nodes: their counts, or JAX's traces of them.
 
     A function of `jax.numpy` checks and promotes its arguments at each call, which takes several times as long as its
     operations. A robot of thirty links has ten thousand nodes, of some hundred kinds.
+
+    Args:
+        most: kinds that are kept.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, most: int = 4096) -> None:
+        self._most = most
         self._met: dict[Hashable, int] = {}
         self._traced: dict[Hashable, Callable[..., list[Any]]] = {}
 
@@ -118,11 +130,20 @@ class RepeatedFormulas:
         """The value of a node without branches, from those of its operands."""
         if not node.by_values or not is_traced(operands):
             return node.evaluate_on_demand(operands, [])
-        kind = (type(node), node.static_key(), *map(jax.typeof, operands))
-        if kind not in self._traced:
+        configuration = tuple(getattr(jax.config, name) for name in _CONFIGURATION)
+        kind = (type(node), node.static_key(), configuration, *map(jax.typeof, operands))
+        formula = self._traced.get(kind)
+        if formula is None:
             times = self._met[kind] = self._met.get(kind, 0) + 1
             if times < _OFTEN:
                 return node.evaluate_on_demand(operands, [])
-            formula = jax.make_jaxpr(lambda *values: node.evaluate_on_demand(list(values), []))
-            self._traced[kind] = jaxpr_as_fun(formula(*operands))
-        return self._traced[kind](*operands)[0]
+            traced = jax.make_jaxpr(lambda *values: node.evaluate_on_demand(list(values), []))
+            formula = self._traced[kind] = jaxpr_as_fun(traced(*operands))
+            for known in (self._met, self._traced):
+                while len(known) > self._most:
+                    known.pop(next(iter(known)), None)
+        return formula(*operands)[0]
+
+
+#: Those of all evaluations in this process.
+FORMULAS = RepeatedFormulas()

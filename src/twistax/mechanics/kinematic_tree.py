@@ -242,12 +242,7 @@ class KinematicTree:
         """H qd (6,): the twist across a segment's joint for velocities (n,), or the corresponding part of
         accelerations, in the segment's frame.
         """
-        H = segment.link.joint.motion_subspace
-        if not segment.freedoms:
-            return Constant(np.zeros(6))
-        if len(segment.freedoms) == 1:
-            return H[:, 0] * segment.scaled(velocities[segment.freedoms[0]])
-        return H @ velocities[segment.freedoms[0] : segment.freedoms[-1] + 1]
+        return segment.along(velocities)
 
     # ---- kinematics --------------------------------------------------------------------------------------------------
 

@@ -154,6 +154,15 @@ class Segment:
         """The value times the ratio of a mimic joint; the value itself for other joints."""
         return value if self.link.mimic is None else self.ratio * value
 
+    def along(self, velocities: Expr) -> Expr:
+        """H qd (6,): the twist across the joint for velocities (n,), in the segment's frame."""
+        H = self.link.joint.motion_subspace
+        if not self.freedoms:
+            return Constant(np.zeros(6))
+        if len(self.freedoms) == 1:
+            return H[:, 0] * self.scaled(velocities[self.freedoms[0]])
+        return H @ velocities[self.freedoms[0] : self.freedoms[-1] + 1]
+
 
 @dataclasses.dataclass(frozen=True)
 class Frame:

@@ -143,6 +143,12 @@ class Backend(ABC):
         """A program with its derivatives, for `call_program`."""
         return Derived(program)
 
+    @property
+    def writes_members(self) -> bool:
+        """Whether programs of members may be written out in its programs; see `MemberProgram`."""
+        scalars = getattr(self, "scalars", None)
+        return isinstance(scalars, XLA) and scalars.writes_members
+
     def in_loops(self) -> Backend:
         """The backend for functions inside the loop of an integrator."""
         return self
@@ -192,6 +198,10 @@ class XLA(Backend):
         for name in ("least", "largest", "widest"):
             whole(f"XLA: {name}", getattr(self, name), 0, ModelError)
 
+    @property
+    def writes_members(self) -> bool:
+        return not self.checked
+
     def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
         arrays = as_arrays(closed)
         if array_operations(closed.jaxpr).total() < self.least:
@@ -236,6 +246,8 @@ class XLA(Backend):
         if moved and ends <= _MOST_MOVED and wide_share(closed.jaxpr, self.widest) <= _MOSTLY:
             return self.scalars(closed, self.largest, limits)
         work = array_operations(closed.jaxpr).total() if ends <= self.widest < widest else 0
+        if has_members(closed.jaxpr):
+            return self.scalars(closed, self.largest, limits)
         if widest <= self.widest or 0 < work <= _MOST_WORK * self.largest:
             program = self.scalars(closed, self.largest, limits)
             if not work or program.operations <= _MOSTLY * work:
@@ -350,6 +362,11 @@ def wide_share(jaxpr: Jaxpr, widest: int) -> float:
 
     wide = [eqn for eqn in jaxpr.eqns if max(sizes(eqn), default=0) > widest]
     return operations_of(wide).total() / max(array_operations(jaxpr).total(), 1)
+
+
+def has_members(jaxpr: Jaxpr) -> bool:
+    """Whether it has batches of programs that are written out."""
+    return any(getattr(eqn.params.get("program"), "written_out", False) for eqn in jaxpr.eqns)
 
 
 def variables(jaxpr: Jaxpr) -> list[Any]:

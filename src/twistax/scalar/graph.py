@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ..errors import ModelError
 from ..jax_inside import ClosedJaxpr
 from .primitives.entry import Operation
-from .primitives.interface import Limits, Nodes, flat, nodes
+from .primitives.interface import Limits, Nodes, Repeat, flat, nodes
 from .primitives.operations import OPERATIONS
 from .primitives.powers import factors_in_range
 from .walk import walk
@@ -109,7 +109,7 @@ class ScalarGraph:
         self.dtypes: list[np.dtype[Any]] = []
         #: The number where a node is one, else None.
         self.numbers: list[Any] = []
-        self.calls: list[OpaqueCall] = []
+        self.calls, self.repeats = list[OpaqueCall](), list[Repeat]()
         #: Operations in calls that emitters may write out; they count as nodes.
         self.inside = 0
         #: The operation of a node; None for numbers, inputs and results of calls. And the nodes that it reads.

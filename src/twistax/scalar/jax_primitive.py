@@ -70,6 +70,7 @@ class Computed(ABC):
     results: Any
     function: Any
     exports_kernels = True
+    written_out = False
 
     def by_xla(self, arguments: Sequence[Any], batch: Batch, inside: bool, platform: str) -> list[jax.Array]:
         """The computation for XLA on a platform without a kernel, `inside` a small call or not."""
@@ -205,10 +206,10 @@ class Derived(Differentiable):
     def _tangent(self, active: tuple[int, ...]) -> Derived:
         # Made when it runs: a program that is only transposed may have no forward derivative.
         results = [self.results[k] for k in self.real]
-        return Derived(lambda: tangent_program(self.program, active), results, self.runner)
+        return type(self)(lambda: tangent_program(self.program, active), results, self.runner)
 
     def _cotangent(self, active: tuple[int, ...]) -> Derived:
-        return Derived(cotangent_program(self.program, active), None, self.runner)
+        return type(self)(cotangent_program(self.program, active), None, self.runner)
 
     def transposed(self, linear: tuple[int, ...]) -> Differentiable:
         back = self.cotangent(linear)

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..jax_inside import batching
 from .graph import OpaqueCall, ScalarGraph
-from .primitives.interface import Nodes, flat
+from .primitives.interface import Nodes, Repeated, flat
 from .primitives.table_load import Table
 from .primitives.table_loads import Load
 
@@ -93,8 +93,12 @@ class ScalarProgram:
         """Operations by name; a function with a derivative of its own counts as one."""
         operations = (self.graph.operation(i) for i in self.live)
         counts = Counter(operation.name for operation in operations if operation is not None)
-        if self.calls:
-            counts["call"] = len(self.calls)
+        for call in self.calls:
+            if isinstance(call.key, Repeated):
+                inner = call.key.program.counts()
+                counts.update({name: len(call.arguments[0]) * count for name, count in inner.items()})
+            else:
+                counts["call"] += 1
         return dict(sorted(counts.items()))
 
     @property

@@ -4,11 +4,9 @@ graph.
 
 from __future__ import annotations
 
-import functools
-import os
+import math
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -22,58 +20,20 @@ from ..jax_inside import (
     Unread,
     all_equations,
     alone,
-    inner_jaxprs,
     is_key,
-    jaxpr_as_fun,
     on_key_data,
-    source_of,
 )
 from .graph import LIMITS, OpaqueCall, ScalarGraph
-from .primitives.interface import Limits, Nodes, flat, nodes, stays_call
+from .parts.custom_derivative import CustomDerivative
+from .primitives.interface import Limits, Nodes, Repeat, Repeated, flat, nodes, stays_call
 from .primitives.piecewise_constant import piecewise_constant
-from .primitives.table import OPERATIONS, WHERE, entry_of, say_unread
+from .primitives.table import OPERATIONS, entry_of, say_unread
 from .program import ScalarProgram
 
-_DIV = OPERATIONS["div"]
+_DIV, _NEG = OPERATIONS["div"], OPERATIONS["neg"]
 
-#: The directory of this package.
-_PACKAGE = str(Path(__file__).parents[2]) + os.sep
-
-
-class _CustomDerivative:
-    """A key for functions with a custom derivative. Equal if both do the same; derivatives are traced only to compare.
-
-    Those of this package, by name and place, have one derivative, which is not traced for it.
-    """
-
-    def __init__(self, name: str, body: ClosedJaxpr, equation: ClosedJaxpr) -> None:
-        self._alone = equation
-        source = source_of(body) or ""
-        self.key = (name, source, _fingerprint(equation))
-        self._named = f" at {_PACKAGE}" in source
-
-    def __hash__(self) -> int:
-        return hash(self.key)
-
-    def __eq__(self, other: object) -> bool:
-        return (
-            isinstance(other, _CustomDerivative)
-            and self.key == other.key
-            and (self._named or self.transpose == other.transpose)
-        )
-
-    @functools.cached_property
-    def transpose(self) -> Any:
-        avals = [jax.ShapeDtypeStruct(v.aval.shape, v.aval.dtype) for v in self._alone.jaxpr.invars]
-
-        def real(*values: Any) -> Any:
-            return [r for r in jaxpr_as_fun(self._alone)(*values) if jnp.issubdtype(r.dtype, jnp.inexact)]
-
-        def linear(*values: Any) -> Any:
-            results, back = jax.vjp(real, *values)
-            return [c for c in back([jnp.ones_like(r) for r in results]) if c.dtype != jax.dtypes.float0]
-
-        return _fingerprint(jax.make_jaxpr(linear)(*avals))
+#: Programs of fewer operations are written out each time.
+LEAST_REPEATED = 200
 
 
 class JaxprReader:
@@ -115,6 +75,24 @@ class JaxprReader:
         self.copy(program, known)
         return [renamed(known, array) for array in program.outputs]
 
+    def repeated(self, eqn: Any, program: ScalarProgram, arguments: Sequence[Nodes]) -> list[Nodes]:
+        """The results of a scalar program for rows of arguments, written out or as a call, as the limits say."""
+        g, variables = self.graph, [v for v in eqn.invars if not isinstance(v, Literal)]
+        distinct = len(set(variables)) == len(eqn.invars) and not eqn.params["batch"].shared
+        if g.limits.products < math.inf and distinct and repeats_in_kernels(program, g):
+            g.inside += len(arguments[0]) * program.operations
+            function = alone(self._reading[-1], eqn, variables)
+            results = [array.copy() for array in g.call(function, Repeated(program), arguments, True).results]
+            for array, outputs in zip(results, program.outputs, strict=True):
+                for place, node in np.ndenumerate(outputs):
+                    if (number := program.graph.numbers[node]) is not None:
+                        array[(slice(None), *place)] = g.constant(number, program.graph.dtypes[node])
+            return results
+        rows = [self.inlined(program, row) for row in zip(*arguments, strict=True)]
+        results = [nodes(flat(*results), (len(rows), *results[0].shape)) for results in zip(*rows, strict=True)]
+        g.repeats.append(Repeat(program, tuple(arguments), tuple(results)))
+        return results
+
     def known(self, arrays: Iterable[Nodes]) -> bool:
         """Whether all entries of arrays are numbers."""
         return all(self.graph.values(a) is not None for a in arrays)
@@ -129,7 +107,7 @@ class JaxprReader:
         distinct = {v: a for v, a in zip(eqn.invars, arrays, strict=True) if not isinstance(v, Literal)}
         equation = on_key_data(alone(self._reading[-1], eqn, list(distinct)))
         # A function that is unrolled for its derivative alone has no effects: equal functions are one call.
-        key = (key or object()) if body is None else _CustomDerivative(eqn.primitive.name, body, equation)
+        key = (key or object()) if body is None else CustomDerivative(eqn.primitive.name, body, equation)
         return list(self.graph.call(equation, key, distinct.values(), body is not None).results)
 
     def copy(
@@ -171,6 +149,27 @@ class JaxprReader:
                     known[i] = new.copied(operation, arguments, old.dtypes[i])
                 else:
                     known[i] = operation.on(new)(*arguments)
+        for repeat in old.repeats:
+            self._copy_repeat(repeat, old, known)
+
+    def _copy_repeat(self, repeat: Repeat, old: ScalarGraph, known: dict[int, int]) -> None:
+        """Note that the new graph contains a program several times, if it needs it."""
+        if any(i in known for i in flat(*repeat.results)):
+            # Results may depend on what an argument is made of, and not on the argument.
+            for i in old.live((i for i in flat(*repeat.arguments) if i >= 0), known):
+                operation, number = old.operation(i), old.numbers[i]
+                if operation is not None:
+                    known[i] = operation.on(self.graph)(*(known[a] for a in old.arguments(i)))
+                elif number is not None:
+                    known[i] = self.graph.constant(number, old.dtypes[i])
+                else:
+                    return
+            for i in flat(*repeat.results):
+                if i not in known and old.operation(i) is _NEG and old.arguments(i)[0] in known:
+                    known[i] = self.graph.neg(known[old.arguments(i)[0]])
+            kept = {i: known.get(i, -1) for i in flat(*repeat.arguments, *repeat.results)}
+            rows = ([renamed(kept, array) for array in arrays] for arrays in (repeat.arguments, repeat.results))
+            self.graph.repeats.append(Repeat(repeat.program, *map(tuple, rows)))
 
     def _copy_call(self, call: OpaqueCall, known: dict[int, int]) -> bool:
         """Add what a call does; gives whether it stays a call."""
@@ -209,43 +208,11 @@ class JaxprReader:
         return any(jnp.issubdtype(dtype, jnp.inexact) and dtype != self.graph.dtype for dtype in dtypes)
 
 
-#: Parameters of a jitted function on which no computed value depends.
-_MOVED = frozenset(WHERE.split())
-
-
-def _fingerprint(program: ClosedJaxpr) -> Any:
-    """Equal for jaxprs that do the same to arguments of the same types."""
-    jaxpr = program.jaxpr
-    names: dict[Any, int] = {}
-
-    def name(variable: Any) -> Any:
-        if isinstance(variable, Literal):
-            return (variable.aval, np.asarray(variable.val).tobytes())
-        return names.setdefault(variable, len(names))
-
-    head = tuple((name(v), v.aval) for v in (*jaxpr.constvars, *jaxpr.invars))
-    body = []
-    for eqn in jaxpr.eqns:
-        # Callables are the rules of a function with a derivative of its own, which `_CustomDerivative` compares.
-        # Elsewhere, as in a callback, they are the operation itself.
-        rules = eqn.primitive.name in ("custom_jvp_call", "custom_vjp_call")
-        moved = _MOVED if eqn.primitive.name == "jit" else ()
-        params = [
-            (k, v)
-            for k, v in sorted(eqn.params.items())
-            if not (k in moved or _holds_jaxprs(v) or (rules and callable(v)))
-        ]
-        inner = tuple(_fingerprint(jaxpr_inside) for jaxpr_inside in inner_jaxprs(eqn))
-        ins, outs = tuple(map(name, eqn.invars)), tuple(map(name, eqn.outvars))
-        body.append((eqn.primitive.name, str(params), inner, ins, outs))
-    consts = tuple((np.asarray(c).dtype.str, np.asarray(c).tobytes()) for c in program.consts)
-    return (head, tuple(body), tuple(map(name, jaxpr.outvars)), consts)
-
-
-def _holds_jaxprs(parameter: Any) -> bool:
-    """Whether a parameter of an equation is a jaxpr or a sequence with one among its entries."""
-    entries = parameter if isinstance(parameter, (tuple, list)) else (parameter,)
-    return any(hasattr(entry, "eqns") for entry in entries)
+def repeats_in_kernels(program: ScalarProgram, graph: ScalarGraph) -> bool:
+    """Whether kernels may compute a program that a graph contains several times in a function, side by side."""
+    arrays = [*map(program.graph.dtype_of, program.inputs), *program.types]
+    fits = program.graph.simplifies_as(graph) and all(dtype == graph.dtype == np.float64 for dtype in arrays)
+    return fits and program.operations >= LEAST_REPEATED
 
 
 def renamed(known: dict[int, int], array: Nodes) -> Nodes:

@@ -24,9 +24,10 @@ from ..scalar.reader import computed_before
 from ..scalar.targets.llvm.backend import KERNEL_EVENT
 from ..scalar.targets.llvm.code import NotNative
 from ..scalar.targets.llvm.kernel import HostKernel
-from ..scalar.targets.llvm.kernel_body import NATIVE_LIMITS, Straight, by_numpy, native_form
+from ..scalar.targets.llvm.kernel_body import NATIVE_LIMITS, by_numpy, native_form
 from ..scalar.targets.llvm.machine_code import BuildError, Processor
 from ..scalar.targets.llvm.self_test import check_kernel
+from ..scalar.targets.llvm.straight.body import Straight
 from ..scalar.walk import uncollected
 from ..system.functions import Cache
 from ..system.hessian import REFUSALS, WeightedHessian, hessian_in_arrays

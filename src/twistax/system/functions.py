@@ -15,9 +15,10 @@ import numpy as np
 
 from ..expr import Control, Equality, Expr, Inputs, Parameter, State, evaluate_all, leaves_of, postorder
 from ..expr.functions.function import Call
+from ..expr.transformations.vmap import elements_by
 from ..jax_inside import is_traced
 from ..progress import say_once, watched
-from ..scalar.backends import Backend, Emission
+from ..scalar.backends import Backend, Emission, has_members
 from ..scalar.graph import TooLarge
 from ..scalar.jax_primitive import Derived, call_program
 from ..scalar.small_call import no_small_call
@@ -25,7 +26,7 @@ from ..scalar.walk import uncollected
 from .expressions import canonical, chosen_outputs, constants_of, silent
 from .inputs import CallArguments, Values
 from .jacobian import LARGEST, Differentiated, Places, RateJacobian, blocks_in_arrays, check_kinds, fewer
-from .repeat import copies_in_a_kernel
+from .repeat import copies_in_a_kernel, traced_once
 from .system import System, entry_names
 
 Arrays = dict[str, jax.Array]
@@ -241,18 +242,21 @@ class Functions:
     def emission(
         self, family: str, structure: Any, types: tuple[tuple[tuple[int, ...], Any], ...], *, in_loop: bool = False
     ) -> tuple[Emission, Any]:
-        """How a family of functions is executed for arguments of these (shape, type), and the structure of its
-        results.
-        """
+        """How a family of functions is executed for arguments of these (shape, type); the structure of its results."""
         backend = self.backend.in_loops() if in_loop else self.backend
 
         def make() -> tuple[Emission, Any]:
-            def traced() -> tuple[Any, Any]:
+            def traced(members: bool = False) -> tuple[Any, Any]:
                 written = jax.make_jaxpr(lambda *arguments: self.as_written(family, *arguments), return_shape=True)
-                return written(*jax.tree.unflatten(structure, list(itertools.starmap(jax.ShapeDtypeStruct, types))))
+                with elements_by(parts=traced_once) if members else contextlib.nullcontext():
+                    return written(*jax.tree.unflatten(structure, list(itertools.starmap(jax.ShapeDtypeStruct, types))))
 
-            closed, shape = traced()
-            emission = backend.emit(closed, jax.tree.leaves(jax.tree.unflatten(structure, range(len(types)))[3]))
+            fixed = jax.tree.leaves(jax.tree.unflatten(structure, range(len(types)))[3])
+            for members in (backend.writes_members, False):
+                closed, shape = traced(members)
+                emission = backend.emit(closed, fixed)
+                if emission.program is not None or not has_members(closed.jaxpr):
+                    break  # else JAX runs it, as it is written
             emission = copies_in_a_kernel(emission, self.backend, self.families[family], traced)
             return emission, jax.tree.structure(shape)
 
@@ -320,7 +324,8 @@ class Functions:
 
         def make() -> RateJacobian:
             def traced(function: Callable[..., list[jax.Array]]) -> Differentiated:
-                closed = jax.make_jaxpr(functools.partial(function, places))(*arrays)
+                with elements_by(parts=traced_once):
+                    closed = jax.make_jaxpr(functools.partial(function, places))(*arrays)
                 return Differentiated(closed, places, self.group, wrt)
 
             if not self.slopes:

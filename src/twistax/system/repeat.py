@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from ..checks import listed, short, whole
@@ -19,6 +20,10 @@ from ..expr.transformations.vmap import elements_by
 from ..groups.power import GroupPower
 from ..scalar.backends import JAX, Backend, Emission
 from ..scalar.fast import part_of_package
+from ..scalar.graph import TooLarge
+from ..scalar.jax_primitive import call_program
+from ..scalar.parts.member_program import MemberProgram
+from ..scalar.reader import scalarize
 from ..scalar.targets.llvm.backend import Native, installed
 from .composable import named_leaves
 from .system import System
@@ -152,6 +157,37 @@ def _many(leaf: Any, count: int) -> Leaf:
     return State(leaf.name, group=GroupPower(leaf.group, count), scale=scale, **ends)
 
 
+#: Programs of members by their keys, of the functions and of the shapes and types of their arguments.
+_MEMBERS: dict[Hashable, MemberProgram] = {}
+_MOST_MEMBERS = 64
+
+
+def traced_once(function: Callable[..., jax.Array], key: str) -> Callable[..., jax.Array]:
+    """A function of one member of a batch, as a program that is traced once and written out for all members.
+
+    Args:
+        key: equal for functions that compute the same.
+    """
+
+    def traced(*arguments: jax.Array) -> jax.Array:
+        types = tuple((jnp.shape(a), jnp.result_type(a)) for a in arguments)
+        program = _MEMBERS.get((key, types))
+        if program is None:
+            shapes = list(itertools.starmap(jax.ShapeDtypeStruct, types))
+            try:
+                scalars = scalarize(lambda *values: [function(*values)], *shapes)
+            except TooLarge:
+                return function(*arguments)
+            if scalars.calls:
+                return function(*arguments)
+            program = _MEMBERS[key, types] = MemberProgram(scalars)
+            if len(_MEMBERS) > _MOST_MEMBERS:
+                _MEMBERS.pop(next(iter(_MEMBERS)), None)
+        return call_program(program, *arguments)[0]
+
+    return traced
+
+
 def copies_in_a_kernel(
     emission: Emission, backend: Backend, roots: Mapping[str, Sequence[Expr]], traced: Callable[[], tuple[Any, Any]]
 ) -> Emission:
@@ -169,5 +205,5 @@ def copies_in_a_kernel(
         return emission
     # One copy has a kernel also where it would be too small for one alone.
     of_one = backend if type(backend) is Native else Native(threads=backend.threads)
-    with elements_by(functools.partial(part_of_package, backend=of_one)):
+    with elements_by(copies=lambda function, _: part_of_package(function, backend=of_one)):
         return dataclasses.replace(JAX().emit(traced()[0]), reason="a batch of one kernel for all copies")

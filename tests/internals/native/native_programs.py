@@ -12,8 +12,9 @@ import pytest
 from twistax.scalar.graph import ScalarGraph
 from twistax.scalar.program import ScalarProgram
 from twistax.scalar.targets.llvm.kernel import HostKernel
-from twistax.scalar.targets.llvm.kernel_body import Straight, native_form
+from twistax.scalar.targets.llvm.kernel_body import native_form
 from twistax.scalar.targets.llvm.machine_code import Processor
+from twistax.scalar.targets.llvm.straight.body import Straight
 
 pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 

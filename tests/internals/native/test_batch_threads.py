@@ -14,8 +14,9 @@ from native_programs import program_of
 from twistax.scalar.primitives.table import OPERATIONS
 from twistax.scalar.targets.llvm.code import Module
 from twistax.scalar.targets.llvm.handler import write_host_handler
-from twistax.scalar.targets.llvm.kernel_body import Straight, native_form
+from twistax.scalar.targets.llvm.kernel_body import native_form
 from twistax.scalar.targets.llvm.machine_code import Processor
+from twistax.scalar.targets.llvm.straight.body import Straight
 
 POINTERS = ctypes.POINTER(ctypes.c_void_p)
 CLOCK = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_int32, ctypes.POINTER(ctypes.c_int64))

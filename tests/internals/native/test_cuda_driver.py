@@ -17,8 +17,9 @@ from twistax.scalar.targets.cuda import driver as cuda
 from twistax.scalar.targets.cuda import kernel as cuda_kernel
 from twistax.scalar.targets.cuda.kernel import CudaKernel
 from twistax.scalar.targets.llvm import backend, kernel, self_test
-from twistax.scalar.targets.llvm.kernel_body import Straight, native_form
+from twistax.scalar.targets.llvm.kernel_body import native_form
 from twistax.scalar.targets.llvm.machine_code import BuildError, MachineCode, Processor, compiled, load
+from twistax.scalar.targets.llvm.straight.body import Straight
 
 #: What a thread asks of the device: its place, which is a variable here.
 _INDEX = re.compile(r"call i32 @llvm\.nvvm\.read\.ptx\.sreg\.(\w+)\.x\(\)")

@@ -25,10 +25,11 @@ from twistax.scalar.targets.cuda import columns, ptx
 from twistax.scalar.targets.llvm import backend, handler
 from twistax.scalar.targets.llvm.code import Module
 from twistax.scalar.targets.llvm.kernel import HostKernel
-from twistax.scalar.targets.llvm.kernel_body import KernelBody, Straight
+from twistax.scalar.targets.llvm.kernel_body import KernelBody
 from twistax.scalar.targets.llvm.lanes import Array
 from twistax.scalar.targets.llvm.machine_code import Processor, compiled, load
 from twistax.scalar.targets.llvm.self_test import check_kernel
+from twistax.scalar.targets.llvm.straight.body import Straight
 
 #: This processor, with the formulas of devices: functions of single precision in single precision.
 NARROW = dataclasses.replace(Processor.host(), triple="formulas of devices", fma=True)

@@ -18,8 +18,9 @@ from twistax.scalar.reader import scalarize
 from twistax.scalar.targets.llvm import kernel_body
 from twistax.scalar.targets.llvm.code import Module
 from twistax.scalar.targets.llvm.kernel import HostKernel
-from twistax.scalar.targets.llvm.kernel_body import Straight, native_form
+from twistax.scalar.targets.llvm.kernel_body import native_form
 from twistax.scalar.targets.llvm.machine_code import Processor
+from twistax.scalar.targets.llvm.straight.body import Straight
 
 
 def functions(x: jax.Array) -> list[jax.Array]:

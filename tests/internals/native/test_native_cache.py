@@ -26,9 +26,10 @@ from twistax.scalar.primitives.table import OPERATIONS
 from twistax.scalar.reader import scalarize
 from twistax.scalar.targets.llvm import kernel, self_test
 from twistax.scalar.targets.llvm.kernel import HostKernel
-from twistax.scalar.targets.llvm.kernel_body import Straight, native_form
+from twistax.scalar.targets.llvm.kernel_body import native_form
 from twistax.scalar.targets.llvm.machine_code import BuildError, Processor
 from twistax.scalar.targets.llvm.self_test import check_kernel
+from twistax.scalar.targets.llvm.straight.body import Straight
 
 KEY, CODE = "0" * 64, bytes(range(256)) * 20
 POINTS = np.random.default_rng(0).normal(size=(9, 3))

@@ -21,8 +21,9 @@ from twistax.scalar.targets.llvm import kernel as kernel_module
 from twistax.scalar.targets.llvm import machine_code, self_test
 from twistax.scalar.targets.llvm.code import Module
 from twistax.scalar.targets.llvm.kernel import HostKernel
-from twistax.scalar.targets.llvm.kernel_body import Straight, native_form
+from twistax.scalar.targets.llvm.kernel_body import native_form
 from twistax.scalar.targets.llvm.machine_code import Processor
+from twistax.scalar.targets.llvm.straight.body import Straight
 
 pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 

@@ -15,10 +15,12 @@ from native_programs import at_every_width
 
 from twistax.scalar.primitives.interface import Limits
 from twistax.scalar.reader import scalarize
-from twistax.scalar.targets.llvm import machine_code, pieces
+from twistax.scalar.targets.llvm import machine_code
 from twistax.scalar.targets.llvm.kernel import HostKernel
-from twistax.scalar.targets.llvm.kernel_body import Straight, by_numpy, native_form
+from twistax.scalar.targets.llvm.kernel_body import by_numpy, native_form
 from twistax.scalar.targets.llvm.machine_code import Processor, compiled
+from twistax.scalar.targets.llvm.straight import pieces
+from twistax.scalar.targets.llvm.straight.body import Straight
 
 
 def mixed(x: jax.Array, n: jax.Array) -> list[jax.Array]:

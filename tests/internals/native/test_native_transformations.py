@@ -20,8 +20,8 @@ from native_programs import at_every_width
 import twistax as tx
 from twistax.scalar.jax_primitive import Derived, call_program
 from twistax.scalar.reader import scalarize
-from twistax.scalar.targets.llvm.kernel_body import Straight
 from twistax.scalar.targets.llvm.machine_code import Processor
+from twistax.scalar.targets.llvm.straight.body import Straight
 
 RNG = np.random.default_rng(0)
 X, A = RNG.normal(size=3), RNG.normal(size=(3, 3))

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import contextvars
+import functools
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from ...checks import callable_with, whole
@@ -16,7 +18,7 @@ from ...errors import ModelError, OperationError, ShapeError
 from ..fields import Operands
 from ..graph import function_of, leaves_of, other_leaves, substitute
 from ..kinds import rules
-from ..leaves import Leaf
+from ..leaves import Constant, Leaf
 from ..node import Expr, Shape, to_expr, to_numbers
 from ..operations.comparisons import Constraint
 
@@ -27,22 +29,30 @@ _around: contextvars.ContextVar[tuple[tuple[Placeholder, ...], ...]] = contextva
 _POINTS = np.arange(8.0).reshape(4, 2) ** 1.5
 
 
-#: What makes a program of the function of one copy.
-_program_of: contextvars.ContextVar[Callable[[Callable[..., Any]], Callable[..., Any]] | None] = contextvars.ContextVar(
-    "program_of", default=None
-)
+#: Makes a program from the function of one element, and a key that is equal for functions that compute the same.
+_Program: TypeAlias = Callable[[Callable[..., Any], str], Callable[..., Any]]
+
+
+class _Programs(NamedTuple):
+    """What makes programs of the elements of batches: of copies of a system, and of parts of one."""
+
+    copies: _Program | None = None
+    parts: _Program | None = None
+
+
+_programs: contextvars.ContextVar[_Programs] = contextvars.ContextVar("programs", default=_Programs())  # noqa: B039
 
 
 @contextlib.contextmanager
-def elements_by(program: Callable[[Callable[..., Any]], Callable[..., Any]]) -> Iterator[None]:
-    """A context in which each batch of copies is a batch of the program that `program` makes from the function of one
-    copy.
+def elements_by(*, copies: _Program | None = None, parts: _Program | None = None) -> Iterator[None]:
+    """A context in which each batch of copies of a system, or of parts of one, is a batch of the program of one
+    element.
     """
-    token = _program_of.set(program)
+    token = _programs.set(_Programs(copies, parts))
     try:
         yield
     finally:
-        _program_of.reset(token)
+        _programs.reset(token)
 
 
 class Placeholder(Leaf):
@@ -135,7 +145,7 @@ class Vmap(Expr):
     def replace(self, **changes: Any) -> Vmap:
         raise OperationError(f"a Vmap has no fields to replace, got {', '.join(changes)}.\n  fix: build another Vmap")
 
-    @property
+    @functools.cached_property
     def captured(self) -> list[Leaf]:
         """The leaves that the body depends on besides its placeholders."""
         return other_leaves(self.body, self.placeholders)
@@ -165,11 +175,15 @@ class Vmap(Expr):
     def over(self, batches: Sequence[Expr], body: Expr) -> Vmap:
         """The same map with other batches and another body with the same placeholders."""
         fields = {"batches": tuple(batches), "axis": self.axis, "body": body, "placeholders": self.placeholders}
-        return Vmap.from_fields(fields | {"copies": self.copies})
+        return type(self).from_fields(fields | {"copies": self.copies})
 
     def of_copies(self) -> Vmap:
         """The same for elements that are systems."""
         return Vmap.from_fields({field.name: getattr(self, field.name) for field in self._fields} | {"copies": True})
+
+    def of_parts(self) -> Vmap:
+        """The same for elements that are parts of one system, such as limbs."""
+        return MapOfParts.from_fields({field.name: getattr(self, field.name) for field in self._fields})
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         elements = _element_shapes(list(shapes[: len(self.batches)]), self.axis)
@@ -182,11 +196,24 @@ class Vmap(Expr):
         return (shapes[0][self.axis], *self.body.check_shape())
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
-        leaves = [*self.placeholders, *self.captured]
-        element, count = function_of(self.body, leaves, {}), len(self.batches)
-        program = _program_of.get() if self.copies else None
+        return self._mapped(_programs.get().copies if self.copies else None, *values)
+
+    def _mapped(self, program: _Program | None, *values: jax.Array) -> jax.Array:
+        leaves, count = [*self.placeholders, *self.captured], len(self.batches)
+        if program is None:
+            element = function_of(self.body, leaves, {})
+        else:  # numbers are part of the program
+            by_leaf = dict(zip(leaves, values, strict=True))
+            with jax.ensure_compile_time_eval():
+                numbers = {
+                    leaf.key(): jnp.asarray(leaf.value, by_leaf.pop(leaf).dtype)
+                    for leaf in self.captured
+                    if isinstance(leaf, Constant)
+                }
+            element = program(function_of(self.body, list(by_leaf), numbers), self.body.key())
+            values = tuple(by_leaf.values())
         in_axes = (*[self.axis] * count, *[None] * (len(values) - count))
-        return jax.vmap(element if program is None else program(element), in_axes=in_axes)(*values)
+        return jax.vmap(element, in_axes=in_axes)(*values)
 
     def simplify(self) -> Expr:
         """The body is simplified."""
@@ -206,6 +233,16 @@ class Vmap(Expr):
         pairs = zip(self.placeholders, operands)
         over = r",\, ".join(rf"{p.to_latex()} \in {batch}" for p, batch in pairs)
         return rf"\left[{self.body.latex()}\right]_{{{over}}}"
+
+
+class MapOfParts(Vmap):
+    """A Vmap over parts of one system. The function of one part is traced once in programs of scalars."""
+
+    # It is a Vmap for users and for the conformance suite.
+    abstract = True
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        return self._mapped(_programs.get().parts, *values)
 
 
 def _expression(value: Any) -> Expr:

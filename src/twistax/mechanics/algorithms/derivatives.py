@@ -26,25 +26,25 @@ R. Russell, P. Wensing, Efficient analytical derivatives of rigid-body dynamics 
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...errors import ModelError
-from ...expr import Concat, Constant, Cross, Expr, Hstack, InverseFactor, InversePositive, Stack, Where
+from ...expr import Block, Concat, Constant, Expr, Hstack, InverseFactor, Stack, Where
 from ...expr.fields import ExprLike
-from ...expr.lie import Adjoint, AdjointAction, AdjointDual, CoadjointAction, Compose, angular, linear, twist
 from ..kinematic_tree import KinematicTree, Positions
 from ..tree import Segment
+from .branch import NOTHING, Branch, Columns, MovingFrame
 from .dynamics import Wrenches, checked, outside
 from .forward_dynamics import forward_dynamics
-from .motion import ZERO, acceleration_of_base
+from .inertia_frames import mirrored
+from .limbs import coordinates_of, equal_limbs, others
+from .motion import ZERO
 from .rotors import turning_by_velocities
 from .spread import Spread
-
-_NOTHING = Constant(np.zeros(6))
 
 
 class ForceDerivatives(NamedTuple):
@@ -136,31 +136,14 @@ def acceleration_derivatives(
     qdd_by_q, qdd_by_qd = both[:, :n], both[:, n:]
     if moved is not None and hastened is not None:
         qdd_by_q, qdd_by_qd = qdd_by_q - moved, qdd_by_qd - hastened
-    return AccelerationDerivatives(qdd_by_q, qdd_by_qd, InversePositive(M))
-
-
-@dataclasses.dataclass(frozen=True)
-class _Freedom:
-    """The effect of a unit of one degree of freedom. Six-vectors are in the frame of the first segment of its tree."""
-
-    place: int  # index of its segment
-    entry: int  # index among the velocities
-    ratio: float  # of a mimic joint
-    S: Expr
-    moved: tuple[
-        Expr, Expr
-    ]  # with respect to position: the argument of I (6,), and the angular part of the argument of B (3,)
-    hastened: tuple[Expr, Expr]  # the same with respect to velocity
-
-
-class _Segment(NamedTuple):
-    T: Expr
-    V: Expr
-    A: Expr
+    return AccelerationDerivatives(qdd_by_q, qdd_by_qd, mirrored(V @ V.T))
 
 
 class _Perturbed:
-    """A motion, and the changes of the joint forces under small perturbations of it."""
+    """A motion, and the changes of the joint forces under small perturbations of it.
+
+    Limbs of equal structure are a map over the limbs; the other segments are the trunk.
+    """
 
     def __init__(
         self,
@@ -171,155 +154,86 @@ class _Perturbed:
         qdd: Expr,
         wrenches: Wrenches | None,
     ) -> None:
-        self.mechanism = mechanism
-        places = mechanism.positions(owner, q)
-        self._qd, self._qdd = mechanism.coordinates(owner, "qd", qd), qdd
-        segments, self._freedoms = mechanism.segments, list[_Freedom]()
-        #: The change of the acceleration of the first segment per unit of a degree of freedom of its joint: by
-        #: position, by velocity.
-        self.moved, self.hastened = dict[int, Expr](), dict[int, Expr]()
-        moving: list[_Segment] = []
-        for i, (segment, place) in enumerate(zip(segments, places, strict=True)):
-            T = segment.link.transform(place)
-            known = self._first(i, segment, T) if segment.before < 0 else self._next(i, segment, T, moving)
-            moving.append(known)
-        self._spreads = [Spread.of(s, motion.T, motion.V) for s, motion in zip(segments, moving, strict=True)]
-        self._F: list[Expr] = []
-        pushes = outside(owner, mechanism, wrenches)
-        for segment, motion, spread, pushed in zip(segments, moving, self._spreads, pushes, strict=True):
-            F, inner = spread.inertia(motion.A) + AdjointDual(motion.V, spread.inertia(motion.V)), segment.inner_motion
-            if inner is not None:
-                w = motion.T[:3, :3].T @ angular(motion.V)
-                F = F + CoadjointAction(motion.T, inner.wrench(w))
-            self._F.append(F if pushed is None else F - CoadjointAction(motion.T, pushed))
-        for i in reversed(range(len(segments))):
-            before = segments[i].before
-            if before >= 0:
-                self._F[before] = self._F[before] + self._F[i]
-                self._spreads[before] = self._spreads[before].plus(self._spreads[i])
-
-    # ---- pass from the base to the tips ----------------------------------------------------------------------------
-
-    def _first(self, i: int, segment: Segment, T: Expr) -> _Segment:
-        """A segment on the base, in its own frame, with the velocity of its origin subtracted."""
-        V, ratio = self.mechanism.along(segment, self._qd), _ratio(segment)
-        w, v = angular(V), linear(V)
-        up = AdjointAction(T, acceleration_of_base(self.mechanism.gravity), inverse=True)
-        A = up + twist(linear=Cross(w, v), angular=ZERO) + self.mechanism.along(segment, self._qdd)
-        for k, a in enumerate(segment.freedoms):
-            H = segment.link.joint.motion_subspace[:, k]
-            s, r, x = linear(H), angular(H), len(self._freedoms)
-            self.moved[x] = twist(linear=Cross(linear(up), r), angular=ZERO)
-            self.hastened[x] = twist(linear=Cross(r, v) + Cross(w, s), angular=Cross(w, r))
-            self._freedoms.append(_Freedom(i, a, ratio, H, (_NOTHING, ZERO), (_NOTHING, r)))
-        return _Segment(Constant(np.eye(4)), twist(linear=ZERO, angular=w), A)
-
-    def _next(self, i: int, segment: Segment, T: Expr, moving: list[_Segment]) -> _Segment:
-        before, ratio = moving[segment.before], _ratio(segment)
-        frame = Compose(before.T, T)
-        V, A = before.V, before.A
-        motions = [AdjointAction(frame, segment.link.joint.motion_subspace[:, k]) for k in range(len(segment.freedoms))]
-        rates = [_times(ratio, self._qd[a]) for a in segment.freedoms]
-        for S, rate in zip(motions, rates, strict=True):
-            V = V + S * rate
-        for S, rate, a in zip(motions, rates, segment.freedoms, strict=True):
-            P = Adjoint(before.V, S)
-            Q = P if len(motions) == 1 else Adjoint(V, S)  # a single motion column is constant under its own rotation
-            moved = Adjoint(before.A, S) + Adjoint(before.V, P), angular(P)
-            self._freedoms.append(_Freedom(i, a, ratio, S, moved, (P + Q, angular(S))))
-            A = A + S * _times(ratio, self._qdd[a]) + Q * rate
-        return _Segment(frame, V, A)
-
-    # ---- all pairs of degrees of freedom ---------------------------------------------------------------------------
-
-    @functools.cached_property
-    def _tree(self) -> list[tuple[int, int, Constant]]:
-        """For each degree of freedom j: the first degree of freedom of its joint, the end of its subtree, and a mask of
-        its ancestors among those before it.
-
-        Branches are stored consecutively, so a subtree is a contiguous range.
-        """
-        segments, places = self.mechanism.segments, [freedom.place for freedom in self._freedoms]
-        reached = np.eye(len(segments), dtype=bool)
-        for i, segment in enumerate(segments):
-            if segment.before >= 0:
-                reached[i] |= reached[segment.before]
-        subtrees = []
-        for place in places:
-            first = places.index(place)
-            end = first + sum(bool(reached[i, place]) for i in places)
-            subtrees.append((first, end, Constant(np.array([reached[place, i] for i in places[:first]], bool))))
-        return subtrees
-
-    @functools.cached_property
-    def _motions(self) -> Expr:
-        """The motion columns S of all degrees of freedom, as rows (N, 6)."""
-        return Stack(*(freedom.S for freedom in self._freedoms))
-
-    @functools.cached_property
-    def _felt(self) -> Expr:
-        """I S of all degrees of freedom, as rows (N, 6): the wrench of a unit acceleration."""
-        return Stack(*(self._spreads[freedom.place].inertia(freedom.S) for freedom in self._freedoms))
-
-    @functools.cached_property
-    def _turned(self) -> Expr:
-        """The angular parts of B' S of all degrees of freedom, as rows (N, 3)."""
-        return Stack(*(self._spreads[freedom.place].coupled_back(freedom.S) for freedom in self._freedoms))
+        self.mechanism, self._qd = mechanism, mechanism.coordinates(owner, "qd", qd)
+        pushes, positions = outside(owner, mechanism, wrenches), mechanism.positions(owner, q)
+        groups = equal_limbs(mechanism, pushes)
+        trunk = others(mechanism, groups)
+        transforms = {i: segment.link.transform(positions[i]) for i, segment in trunk.items()}
+        on_trunk = {i: pushes[i] for i in trunk}
+        self._trunk = branch = Branch(trunk, transforms, self._qd, qdd, mechanism.gravity, on_trunk)
+        self._limbs = list[_Limb]()
+        for group in groups:
+            frames = [group.on_parents({i: frame[k] for i, frame in branch.moving.items()}) for k in range(3)]
+            batches = [*frames, group.positions(positions), group.rows(self._qd), group.rows(qdd)]
+            mapped = group.map(_limb, batches)
+            for k, parent in enumerate(group.parents):
+                *spread, F, felt, turned, by_q, carried_q, by_qd, carried_qd, M = mapped.of(mapped.rows[k])
+                branch.add(parent, Spread(*spread), F)
+                columns = Columns(by_q, carried_q), Columns(by_qd, carried_qd), Columns(M, felt)
+                entries = [i for place in group.places(k) for i in mechanism.segments[place].freedoms]
+                self._limbs.append(_Limb(entries, branch.carry(parent), felt, turned, columns))
+        branch.gather()
+        self.moved, self.hastened = branch.moved, branch.hastened
 
     def by_motion(self) -> tuple[Expr, Expr]:
         """The derivatives of the forces with respect to positions and velocities, without the parts of `moved` and
         `hastened`.
         """
-        by_q, by_qd = list[Expr](), list[Expr]()
-        for freedom, place in zip(self._freedoms, self._tree, strict=True):
-            spread, (first, end, _) = self._spreads[freedom.place], place
-            for columns, (x, b) in ((by_q, freedom.moved), (by_qd, freedom.hastened)):
-                carried = spread.inertia(x) + spread.coupled(b)
-                if columns is by_q:
-                    carried = carried + AdjointDual(freedom.S, self._F[freedom.place])
-                columns.append(self._column(place, self._felt[first:end] @ x + self._turned[first:end] @ b, carried))
-        rate_columns, turning = self._gathered(by_qd), turning_by_velocities(self.mechanism, self._qd)
-        return self._gathered(by_q), rate_columns if turning is None else rate_columns + turning
+        freedoms, turning = self._trunk.freedoms, turning_by_velocities(self.mechanism, self._qd)
+        by_q = self._joined(self._trunk.by_position(), [freedom.moved for freedom in freedoms], 0)
+        by_qd = self._joined(self._trunk.by_velocity(), [freedom.hastened for freedom in freedoms], 1)
+        return by_q, by_qd if turning is None else by_qd + turning
 
     @functools.cached_property
     def mass_matrix(self) -> Expr:
         """The mass matrix M (n, n), including rotors."""
-        columns: list[Expr] = []
-        for k, (freedom, place) in enumerate(zip(self._freedoms, self._tree, strict=True)):
-            column = self._column(place, self._felt[place[0] : place[1]] @ freedom.S, self._felt[k])
-            rotor = self.mechanism.segments[freedom.place].link.drive.rotor
-            columns.append(column if rotor is None else column + rotor * np.eye(len(self._freedoms))[k])
-        return self._gathered(columns)
+        return self._joined(self._trunk.mass_matrix(), [(freedom.S, ZERO) for freedom in self._trunk.freedoms], 2)
 
-    def _column(self, place: tuple[int, int, Constant], beyond: Expr, carried: Expr) -> Expr:
-        """One column of joint forces (N,): `beyond` for the subtree of a degree of freedom, and for its ancestors the
-        force of the wrench `carried`.
-        """
-        first, end, on_path = place
-        parts = [beyond, Constant(np.zeros(len(self._freedoms) - end))]
-        if first:
-            parts.insert(0, Where(on_path, self._motions[:first] @ carried, Constant(np.zeros(first))))
-        return Concat(*parts)
+    def _joined(self, trunk: Columns, changes: list[tuple[Expr, Expr]], kind: int) -> Expr:
+        """The columns of trunk and limbs (n, n), for the arguments of I and B of the freedoms of the trunk."""
+        N = len(self._trunk.freedoms)
+        rows: list[list[ExprLike]] = [[trunk.forces]]
+        for number, limb in enumerate(self._limbs):
+            count, columns, on_path = len(limb.entries), limb.columns[kind], Constant(limb.on_path[:, None])
+            nothing = Constant(np.zeros((N, count)))
+            rows[0].append(Where(on_path, self._trunk.motions @ columns.wrenches.T, nothing))
+            x, b = (Stack(*(change[part] for change in changes)) for part in (0, 1))
+            beyond = x @ limb.felt.T + b @ limb.turned.T
+            zeros = [Constant(np.zeros((count, len(other.entries)))) for other in self._limbs]
+            rows.append([Where(on_path, beyond, nothing).T, *zeros[:number], columns.forces, *zeros[number + 1 :]])
+        return self._gathered(Block(rows) if self._limbs else trunk.forces)
 
-    def _gathered(self, columns: list[Expr]) -> Expr:
+    def _gathered(self, pairs: Expr) -> Expr:
         """Rows and columns of joints, summed to those of the velocities (n, n): mimic joints add to the joints that
         they follow.
         """
-        pairs = Stack(*columns).T
-        G = np.zeros((len(self._freedoms), self.mechanism.dofs))
-        for row, freedom in enumerate(self._freedoms):
-            G[row, freedom.entry] = freedom.ratio
-        return pairs if np.array_equal(G, np.eye(len(G))) else Constant(G.T) @ pairs @ Constant(G)
+        entries = [(freedom.entry, freedom.ratio) for freedom in self._trunk.freedoms]
+        entries += [(entry, 1.0) for limb in self._limbs for entry in limb.entries]
+        G = np.zeros((len(entries), self.mechanism.dofs))
+        for row, (entry, ratio) in enumerate(entries):
+            G[row, entry] = ratio
+        if np.array_equal(G, np.eye(len(G))):
+            return pairs
+        if np.array_equal(G @ G.T, np.eye(len(G))):
+            order = G.argmax(0)
+            return pairs[order][:, order]
+        return Constant(G.T) @ pairs @ Constant(G)
 
     # ---- effect of the acceleration of the first segments -----------------------------------------------------------
 
     def by_acceleration(self, changes: dict[int, Expr]) -> Expr:
         """The change of the forces under a change of the accelerations of the first segments."""
-        N, columns = len(self._freedoms), list[Expr]()
-        for number, (first, end, _) in enumerate(self._tree):
-            felt = self._felt[first:end] @ changes.get(number, _NOTHING)
-            columns.append(Concat(np.zeros(first), felt, np.zeros(N - end)))
-        return self._gathered(columns)
+        columns = list[Expr]()
+        for number in range(len(self._trunk.freedoms)):
+            change = changes.get(number, NOTHING)
+            beyond = [self._trunk.carry(other.place)[number] for other in self._trunk.freedoms]
+            parts: list[Expr] = [Where(np.array(beyond), self._trunk.felt @ change, np.zeros(len(beyond)))]
+            for limb in self._limbs:
+                parts.append(limb.felt @ change if limb.on_path[number] else Constant(np.zeros(len(limb.entries))))
+            columns.append(Concat(*parts))
+        count = sum(len(limb.entries) for limb in self._limbs)
+        columns += [Constant(np.zeros(len(columns) + count))] * count
+        return self._gathered(Stack(*columns).T)
 
     def free_root(self, changes: dict[int, Expr]) -> Expr | None:
         """The same change as accelerations of a free first joint (n, n); None if the first joint is another one."""
@@ -329,18 +243,30 @@ class _Perturbed:
             return None
         columns: list[Expr] = [Constant(np.zeros(n))] * n
         for number, change in changes.items():
-            root = segments[self._freedoms[number].place]
+            freedom = self._trunk.freedoms[number]
+            root = segments[freedom.place]
             # H of six degrees of freedom is square: the accelerations are H^-1 of the change.
             basis = root.link.joint.actuation_basis.T
             spread = np.zeros((n, 6))
             spread[list(root.freedoms), range(6)] = 1.0
-            columns[self._freedoms[number].entry] = Constant(spread) @ (basis @ change)
+            columns[freedom.entry] = Constant(spread) @ (basis @ change)
         return Stack(*columns).T
 
 
-def _ratio(segment: Segment) -> float:
-    return 1.0 if segment.link.mimic is None else segment.link.mimic.ratio
+class _Limb(NamedTuple):
+    """The degrees of freedom of a limb, by the trunk's and by themselves."""
+
+    entries: list[int]  # among the velocities
+    on_path: NDArray[np.bool_]  # which degrees of freedom of the trunk move it
+    felt: Expr
+    turned: Expr
+    columns: tuple[Columns, Columns, Columns]  # with respect to positions, velocities and accelerations
 
 
-def _times(ratio: float, value: Expr) -> Expr:
-    return value if ratio == 1.0 else ratio * value
+def _limb(segments: dict[int, Segment], T: Expr, V: Expr, A: Expr, q: Expr, qd: Expr, qdd: Expr) -> list[Expr]:
+    """What a limb adds to its parent, and the attributes of `_Limb`."""
+    transforms = {i: segment.link.transform(q[coordinates_of(segment)]) for i, segment in segments.items()}
+    branch = Branch(segments, transforms, qd, qdd, MovingFrame(T, V, A), dict.fromkeys(segments))
+    spread, F = branch.gather()
+    by_q, by_qd, M = branch.by_position(), branch.by_velocity(), branch.mass_matrix()
+    return [*spread, F, branch.felt, branch.turned, *by_q, *by_qd, M.forces]

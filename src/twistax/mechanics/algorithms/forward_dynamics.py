@@ -5,19 +5,24 @@ Source: R. Featherstone, Rigid Body Dynamics Algorithms (2008), section 7.3.
 
 from __future__ import annotations
 
+import dataclasses
+import functools
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 
-from ...expr import Concat, Constant, Dot, Expr, Outer, SolvePositive
+from ...expr import Concat, Dot, Expr, Outer, SolvePositive
 from ...expr.fields import ExprLike
-from ...expr.lie import CoadjointAction
+from ...expr.lie import CoadjointAction, Pose
+from ...expr.lie.elements import parts_of_pose
 from ..kinematic_tree import KinematicTree, Positions
+from ..tree import Segment
 from .closed_loops import closed_dynamics
 from .dynamics import Wrenches, bias_forces, checked, less, mass_matrix, outside
 from .inertia_frames import in_frame, mirrored
-from .motion import Moving, acceleration_of_base, motion
+from .limbs import Mapped, coordinates_of, equal_limbs, others
+from .motion import ZERO, Carried, Moving, acceleration_of_base, motion_of
 from .rotors import turning_of_rotors
-
-_NOTHING = Constant(0.0)
 
 
 def forward_dynamics(
@@ -57,31 +62,106 @@ def forward_dynamics(
     rates = mechanism.coordinates(owner, "qd", qd)
     turning = turning_of_rotors(mechanism, rates)
     forces = forces if turning is None else forces - turning
-    moving = motion(mechanism, mechanism.positions(owner, q), rates)
-    I = [state.inertia for state in moving]
-    b = [less(state.needed, out) for state, out in zip(moving, outside(owner, mechanism, wrenches), strict=True)]
-    hinges: list[_Hinge] = []
-    for i in reversed(range(len(moving))):
-        hinges.append(_Hinge(moving[i], I[i], b[i], forces))
-        before = moving[i].segment.before
-        if before >= 0:
-            felt_I, felt_b = hinges[-1].felt_before()
-            I[before], b[before] = I[before] + felt_I, b[before] + felt_b
-    accelerations: list[Expr] = []
-    qdd: list[Expr] = [_NOTHING] * mechanism.dofs
-    for hinge in reversed(hinges):
-        before = hinge.moving.segment.before
-        base = acceleration_of_base(mechanism.gravity) if before < 0 else accelerations[before]
-        B = hinge.moving.carried(base)
-        for i, freedom in zip(hinge.moving.segment.freedoms, hinge.freedoms, strict=True):
-            qdd[i] = freedom.acceleration(B)
-            B = B + freedom.H * qdd[i]
-        accelerations.append(B)
-    return Concat(*qdd)
+    pushes = outside(owner, mechanism, wrenches)
+    return _by_recursion(mechanism, mechanism.positions(owner, q), rates, forces, pushes)
 
 
 #: The usual abbreviation.
 aba = forward_dynamics
+
+
+def _by_recursion(
+    mechanism: KinematicTree, positions: list[Expr], rates: Expr, forces: Expr, pushes: list[Expr | None]
+) -> Expr:
+    """The accelerations (n,). Limbs of equal structure are a map over the limbs."""
+    groups = equal_limbs(mechanism, pushes)
+    trunk = others(mechanism, groups)
+    moving = motion_of(trunk, dict(enumerate(positions)), rates, ZERO)
+    I = {i: state.inertia for i, state in moving.items()}
+    b = {i: less(state.needed, pushes[i]) for i, state in moving.items()}
+    w = {i: state.w for i, state in moving.items()}
+    inward = list[Mapped]()
+    for group in groups:
+        batches = [group.on_parents(w), group.positions(positions), group.rows(rates), group.rows(forces)]
+        inward.append(group.map(_limb_inward, batches))
+        for k, parent in enumerate(group.parents):
+            felt_I, felt_b = inward[-1].of(inward[-1].rows[k], 0, 2)
+            I[parent], b[parent] = I[parent] + mirrored(felt_I), b[parent] + felt_b
+    hinges = _inward(moving, I, b, forces)
+    kept = {i: _Kept.of(moving[i], hinges[i].freedoms) for i in moving}
+    qdd, B = _outward(trunk, kept, acceleration_of_base(mechanism.gravity))
+    for group, passed in zip(groups, inward, strict=True):
+        one = functools.partial(_limb_outward, passed)
+        rows = group.map(one, [passed.rows, group.on_parents(B), group.positions(positions)]).rows
+        for k in range(len(group.roots)):
+            freedoms = [i for place in group.places(k) for i in mechanism.segments[place].freedoms]
+            qdd.update((i, rows[k][j]) for j, i in enumerate(freedoms))
+    return Concat(*(qdd[i] for i in range(mechanism.dofs)))
+
+
+def _inward(moving: Mapping[int, Moving], I: dict[int, Expr], b: dict[int, Expr], forces: Expr) -> dict[int, _Hinge]:
+    """The pass from the tips to the base, from the inertias and biases of single segments."""
+    hinges: dict[int, _Hinge] = {}
+    for i in reversed(list(moving)):
+        hinges[i] = _Hinge(moving[i], I[i], b[i], forces)
+        before = moving[i].segment.before
+        if before >= 0:
+            felt_I, felt_b = hinges[i].felt_before()
+            I[before], b[before] = I[before] + felt_I, b[before] + felt_b
+    return hinges
+
+
+def _outward(
+    segments: Mapping[int, Segment], kept: Mapping[int, _Kept], base: Expr
+) -> tuple[dict[int, Expr], dict[int, Expr]]:
+    """The pass from the base to the tips: the accelerations of joints by degree of freedom, and B of segments."""
+    qdd, accelerations = dict[int, Expr](), dict[int, Expr]()
+    for i, segment in segments.items():
+        B = kept[i].carried(base if segment.before < 0 else accelerations[segment.before])
+        for k, freedom in enumerate(segment.freedoms):
+            qdd[freedom] = kept[i].alone[k] - Dot(kept[i].shares[k], B)
+            B = B + segment.link.joint.motion_subspace[:, k] * qdd[freedom]
+        accelerations[i] = B
+    return qdd, accelerations
+
+
+def _limb_inward(segments: dict[int, Segment], w: Expr, q: Expr, qd: Expr, tau: Expr) -> list[Expr]:
+    """What the parent of a limb feels, and what the pass to the tips needs."""
+    moving = motion_of(segments, {i: q[coordinates_of(segment)] for i, segment in segments.items()}, qd, w)
+    I = {i: state.inertia for i, state in moving.items()}
+    b = {i: state.needed for i, state in moving.items()}
+    hinges = _inward(moving, I, b, tau)
+    results = [*hinges[0].felt_before()]
+    for i in moving:
+        known = _Kept.of(moving[i], hinges[i].freedoms)
+        results += [parts_of_pose(known.T)[0], known.centripetal, known.coriolis, *known.shares, *known.alone]
+    return results
+
+
+def _limb_outward(passed: Mapped, segments: dict[int, Segment], row: Expr, B: Expr, q: Expr) -> list[Expr]:
+    """The accelerations of the joints of a limb, for B of its parent."""
+    results = iter(passed.of(row, 2))
+    kept = dict[int, _Kept]()
+    for i, segment in segments.items():
+        p = parts_of_pose(segment.link.transform(q[coordinates_of(segment)]))[1]
+        T, centripetal, coriolis = Pose(next(results), p), next(results), next(results)
+        shares, alone = ([next(results) for _ in segment.freedoms] for _ in range(2))
+        kept[i] = _Kept(T, centripetal, coriolis, shares, alone)
+    qdd, _ = _outward(segments, kept, B)
+    return list(qdd.values())
+
+
+@dataclasses.dataclass(frozen=True)
+class _Kept(Carried):
+    """What the pass to the tips needs of a segment: the acceleration of each degree of freedom is alone - share' B."""
+
+    shares: Sequence[Expr]
+    alone: Sequence[Expr]
+
+    @classmethod
+    def of(cls, moving: Moving, freedoms: Sequence[_Freedom]) -> _Kept:
+        shares, alone = [freedom.share for freedom in freedoms], [freedom.left / freedom.D for freedom in freedoms]
+        return cls(moving.T, moving.centripetal, moving.coriolis, shares, alone)
 
 
 class _Hinge:
@@ -133,10 +213,6 @@ class _Freedom:
 
     def _reaction(self, F: Expr) -> Expr:
         return F - self.working * Dot(self.H, F)
-
-    def acceleration(self, B: Expr) -> Expr:
-        """Its acceleration () if the segment has the acceleration B (6,) apart from it."""
-        return self.left / self.D - Dot(self.share, B)
 
     def eliminated(self) -> tuple[Expr, Expr]:
         """I_a = I - U U' / D and b_a = b + U (tau - H' b) / D; without a rotor the working part of b_a is tau."""

@@ -19,6 +19,7 @@ Source: R. Featherstone, Rigid Body Dynamics Algorithms (2008), section 2.11, fo
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -34,15 +35,27 @@ _NO_WRENCH = Constant(np.zeros(6))
 
 
 @dataclasses.dataclass(frozen=True)
-class Moving:
-    """The motion of a segment. Six-vectors are in its frame, except `centripetal`, which is in that of its parent."""
+class Carried:
+    """How accelerations pass to a segment. Six-vectors are in its frame, except `centripetal`, which is in that of its
+    parent.
+    """
+
+    T: Expr  # pose of the segment in its parent
+    centripetal: Expr  # [w x (w x p); 0] of the parent
+    coriolis: Expr  # [(w_0 + w) x s; w_0 x r]
+
+    def carried(self, B_before: Expr) -> Expr:
+        """The acceleration (6,) of the segment for zero acceleration of its joint."""
+        return AdjointAction(self.T, B_before + self.centripetal, inverse=True) + self.coriolis
+
+
+@dataclasses.dataclass(frozen=True)
+class Moving(Carried):
+    """The motion of a segment."""
 
     segment: Segment
     placement: Expr  # pose of the joint's child frame in its parent frame
-    T: Expr  # pose of the segment in its parent
-    w: Expr  # angular velocity (3,)
-    centripetal: Expr  # [w x (w x p); 0] of the parent
-    coriolis: Expr  # [(w_0 + w) x s; w_0 x r]
+    w: Expr  # angular velocity (3,), in the segment's frame
 
     @property
     def inertia(self) -> Expr:
@@ -66,10 +79,6 @@ class Moving:
         inner = self.segment.inner_motion
         return self.gyroscopic if inner is None else self.gyroscopic + inner.still
 
-    def carried(self, B_before: Expr) -> Expr:
-        """The acceleration (6,) of the segment for zero acceleration of its joint."""
-        return AdjointAction(self.T, B_before + self.centripetal, inverse=True) + self.coriolis
-
 
 def inertia_of(segment: Segment) -> Expr:
     """M (6, 6) of a segment; zero if it has no mass."""
@@ -83,23 +92,28 @@ def acceleration_of_base(gravity: Expr) -> Expr:
 
 def motion(mechanism: KinematicTree, positions: list[Expr], qd: Expr) -> list[Moving]:
     """The pass from the base to the tips: angular velocities and the terms that follow from them."""
-    moving: list[Moving] = []
-    for segment, position in zip(mechanism.segments, positions, strict=True):
-        T = segment.link.transform(position)
+    return list(motion_of(dict(enumerate(mechanism.segments)), dict(enumerate(positions)), qd, ZERO).values())
+
+
+def motion_of(
+    segments: Mapping[int, Segment], positions: Mapping[int, Expr], qd: Expr, w_base: Expr
+) -> dict[int, Moving]:
+    """The same for segments by index, on a base with an angular velocity (3,)."""
+    moving: dict[int, Moving] = {}
+    for i, segment in segments.items():
+        T = segment.link.transform(positions[i])
         R, p = parts_of_pose(T)
-        across = mechanism.along(segment, qd)
-        w_before = ZERO if segment.before < 0 else moving[segment.before].w
+        across = segment.along(qd)
+        w_before = w_base if segment.before < 0 else moving[segment.before].w
         before = Act(Inverse(R), w_before)
         w = before + angular(across)
-        moving.append(
-            Moving(
-                segment=segment,
-                placement=segment.link.joint.placement(position),
-                T=T,
-                w=w,
-                centripetal=twist(linear=Cross(w_before, Cross(w_before, p)), angular=ZERO),
-                coriolis=twist(linear=Cross(before + w, linear(across)), angular=Cross(before, angular(across))),
-            )
+        moving[i] = Moving(
+            segment=segment,
+            placement=segment.link.joint.placement(positions[i]),
+            T=T,
+            w=w,
+            centripetal=twist(linear=Cross(w_before, Cross(w_before, p)), angular=ZERO),
+            coriolis=twist(linear=Cross(before + w, linear(across)), angular=Cross(before, angular(across))),
         )
     return moving
 

@@ -51,6 +51,7 @@ class Graph(Protocol):
     dtypes: list[np.dtype[Any]]
     numbers: list[Any]
     calls: list[Any]
+    repeats: list[Any]
     inside: int
 
     def constant(self, value: Any, dtype: np.dtype[Any] | None = None) -> int: ...
@@ -86,6 +87,7 @@ class Reader(Protocol):
     def graph(self) -> Graph: ...
     def read(self, program: ClosedJaxpr, inputs: Sequence[Nodes]) -> list[Nodes]: ...
     def inlined(self, program: Any, inputs: Sequence[Nodes]) -> list[Nodes]: ...
+    def repeated(self, eqn: Any, program: Any, arguments: Sequence[Nodes]) -> list[Nodes]: ...
     def known(self, arrays: Iterable[Nodes]) -> bool: ...
     def call(
         self, eqn: Any, arrays: Sequence[Nodes], body: ClosedJaxpr | None = None, key: Any = None
@@ -105,19 +107,54 @@ class InKernels(ABC):
         """All results without the kernel, for rows of arguments."""
 
 
+@dataclasses.dataclass(frozen=True)
+class Repeated:
+    """The key of a call that computes a program for each row of its arguments.
+
+    Attributes:
+        program: a scalar program.
+    """
+
+    program: Any
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Repeat:
+    """A program that a graph contains several times, simplified in each place.
+
+    Attributes:
+        program: a `ScalarProgram`.
+        arguments, results: arrays of nodes, with one row for each time; -1 for nodes that are not needed.
+    """
+
+    program: Any
+    arguments: tuple[Nodes, ...]
+    results: tuple[Nodes, ...]
+
+
 def kernel_of(call: Any) -> InKernels | None:
     """What writes a call in kernels; None for other calls, and for none."""
     return call.key if call is not None and isinstance(call.key, InKernels) else None
+
+
+def is_loop(call: Any) -> bool:
+    """Whether a call is one that kernels write as a loop or a function, and others write out."""
+    return call is not None and (call.key == PRODUCT or isinstance(call.key, Repeated))
 
 
 def stays_call(call: Any, limits: Limits) -> bool:
     """Whether a call stays one where functions of scalars are unrolled."""
     if kernel_of(call) is not None:
         return limits.functions
-    if call.key == PRODUCT:
+    if is_loop(call):
         return limits.products < math.inf
     # A call that was too large to unroll may fit a graph with larger limits.
     return not call.inline and limits == Limits()
+
+
+def by_columns(rows: Nodes) -> list[int]:
+    """The nodes of an array with one row for each time, entry by entry."""
+    return flat(rows.reshape(len(rows), -1).T)
 
 
 # ---- arrays of nodes -------------------------------------------------------------------------------------------------

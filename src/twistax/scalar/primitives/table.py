@@ -132,7 +132,19 @@ def _of_one(read: Callable[[Reader, Any, Sequence[Nodes]], list[Nodes]]) -> Read
     return scalars
 
 
-_program = _of_one(lambda reader, program, arrays: reader.inlined(program, arrays))
+_alone = _of_one(lambda reader, program, arrays: reader.inlined(program, arrays))
+
+
+def _program(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
+    """A program of one member, or of all of a batch that is written out."""
+    batch, program = eqn.params["batch"], eqn.params["program"]
+    if batch.depth != 1 or not program.written_out:
+        return _alone(reader, eqn, *arrays)
+    rows = _members(eqn)
+    arguments = [np.broadcast_to(a, (rows, *a.shape)) if k in batch.shared else a for k, a in enumerate(arrays)]
+    return reader.repeated(eqn, program.program, arguments)
+
+
 _written_out = _of_one(lambda reader, program, arrays: reader.read(program, arrays))
 
 

@@ -15,8 +15,9 @@ from ...kernel_cache import version
 from ..llvm.code import Module
 from ..llvm.handler import write_device_handler
 from ..llvm.kernel import CodeHandle, HostCodeHandle, Kernel, digest, is_in_use, named
-from ..llvm.kernel_body import KernelBody, Straight
+from ..llvm.kernel_body import KernelBody
 from ..llvm.machine_code import Processor
+from ..llvm.straight.body import Straight
 from .driver import DeviceCode, driver
 from .ptx import ENTRY, assembled, device, write_kernel
 

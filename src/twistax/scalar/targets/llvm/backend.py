@@ -49,10 +49,11 @@ from ..cuda.ptx import libdevice
 from .arrays.body import ArrayBody, array_form
 from .code import NotNative
 from .kernel import HostKernel, Kernel
-from .kernel_body import KernelBody, Straight, native_form
+from .kernel_body import KernelBody, native_form
 from .machine_code import BuildError, Processor, installed
 from .self_test import check_kernel
 from .step_kernels import StepKernels
+from .straight.body import Straight
 
 #: An event of `jax.monitoring` for each kernel, with the seconds to make it or to read it from the cache.
 KERNEL_EVENT = "/twistax/kernel"
@@ -94,8 +95,7 @@ class Target(ABC):
             single: whether it is for one member.
             threads: of the processor, at most; None: all.
         Raises:
-            ImportError: llvmlite is not installed.
-            BuildError: it could not be compiled.
+            ImportError, BuildError: llvmlite is not installed; it could not be compiled.
         """
 
 

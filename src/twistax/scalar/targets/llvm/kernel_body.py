@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 
 from ...graph import Limits, OpaqueCall, TooLarge
 from ...primitives.entry import Operation
-from ...primitives.interface import PRODUCT, flat, kernel_of
+from ...primitives.interface import Repeated, flat, is_loop, kernel_of
 from ...primitives.table import OPERATIONS
 from ...program import ScalarProgram, called_names
 from ...reader import emitted_form
 from .arrays.calls import results_by_numpy, write_call
 from .code import NAMES, Code, Module, NotNative
 from .lanes import Array, Rows
-from .pieces import PieceValues, Scratch
-from .products import product_by_numpy, write_product
+from .straight.products import product_by_numpy
+from .straight.repeats import repeated_by_numpy, with_functions
 from .trigonometry import sines_and_cosines
 
 #: Kernels call no library: more is unrolled than for XLA.
@@ -34,16 +34,13 @@ Read: TypeAlias = Callable[[int, int], str]
 #: A function that perturbs values as another order of operations may round them.
 Rounded: TypeAlias = Callable[[NDArray[Any]], NDArray[Any]]
 
-#: Entries of results above which LLVM's order of instructions takes seconds: its time grows with their square.
-_MANY = 1000
-
 #: Functions of many instructions each, and how many of them are written where they are computed, which runs a tenth
 #: faster. LLVM puts those of one member into vectors only there.
 _INLINED = {"sin", "cos", "exp", "expm1", "logistic", "tanh"}
 _MOST_INLINED = 100
 
 #: Computed several at a time, by `sines_and_cosines`.
-_TURNING = (OPERATIONS["sin"], OPERATIONS["cos"])
+TURNING = (OPERATIONS["sin"], OPERATIONS["cos"])
 
 
 def native_form(program: ScalarProgram, *, products: bool = False) -> ScalarProgram:
@@ -55,11 +52,13 @@ def native_form(program: ScalarProgram, *, products: bool = False) -> ScalarProg
         NotNative: it calls functions, or has numbers or operations, that have no native form, or grows too large.
     """
     try:
-        form = emitted_form(program, _WITH_PRODUCTS if products else NATIVE_LIMITS)
+        form = (
+            emitted_form(with_functions(program), _WITH_PRODUCTS) if products else emitted_form(program, NATIVE_LIMITS)
+        )
     except TooLarge as error:
         raise NotNative(str(error).splitlines()[0]) from error
     g = form.graph
-    if foreign := [call for call in form.calls if call.key != PRODUCT and kernel_of(call) is None]:
+    if foreign := [call for call in form.calls if not is_loop(call) and kernel_of(call) is None]:
         raise NotNative(f"{called_names(foreign)} has no native form")
     if form.calls and _turns_products(form):
         return native_form(program)
@@ -81,7 +80,7 @@ def _turns_products(form: ScalarProgram) -> bool:
         is_product = g.call_of(i) is not None and kernel_of(g.call_of(i)) is None
         if is_product or not dependent.isdisjoint(g.sources(i)):
             dependent.add(i)
-            if g.operation(i) in _TURNING or kernel_of(g.call_of(i)) is not None:
+            if g.operation(i) in TURNING or kernel_of(g.call_of(i)) is not None:
                 return True
     return False
 
@@ -119,7 +118,7 @@ class Scalars:
 
     def in_piece(self, nodes: Sequence[int]) -> None:
         """The values of nodes of a piece, whose `values` are set; sines and cosines stand in the first piece."""
-        if any(self._graph.operation(i) in _TURNING for i in nodes):
+        if any(self._graph.operation(i) in TURNING for i in nodes):
             self.compute(nodes)
         self._in_order(nodes)
 
@@ -159,7 +158,7 @@ class Scalars:
                 continue
             arguments = g.arguments(i)
             depth[i] = max((depth.get(a, 0) for a in g.sources(i)), default=0)
-            if g.operation(i) in _TURNING and self.values.get(arguments[0]) not in self._code.sines:
+            if g.operation(i) in TURNING and self.values.get(arguments[0]) not in self._code.sines:
                 by_depth.setdefault((depth[i], g.dtypes[i].name), {})[arguments[0]] = None
                 depth[i] += 1
         return [list(by_depth[k]) for k in sorted(by_depth)]
@@ -259,79 +258,13 @@ class KernelBody(BatchFunction):
         return arguments
 
 
-class Straight(KernelBody):
-    """A straight-line program, from its arguments to its results."""
-
-    #: Operations on scalars that a thread takes at a time, some 5 us.
-    _CHUNK = 250_000
-
-    def __init__(self, program: ScalarProgram, lanes: int) -> None:
-        results = [Array(nodes.shape, dtype) for nodes, dtype in zip(program.outputs, program.types, strict=True)]
-        super().__init__(program, lanes, arguments_of(program), results, needed_by(program))
-        self.chunk = max(1, self._CHUNK // (max(program.operations, 1) * lanes)) * lanes
-
-    def body(self, code: Code, rows: Mapping[str, Rows]) -> None:
-        products = any(kernel_of(call) is None for call in self.program.calls)
-        pieces = self.program.operations >= code.module.processor.longest or products
-        code.module.long = pieces or sum(array.size for array in self.results) > _MANY
-        if pieces:
-            self._in_pieces(code, rows)
-            return
-        scalars = Scalars(code, self.program, functools.partial(_entry, rows))
-        scalars.compute(self.program.live)
-        for k in self.written:
-            rows[f"r{k}"].write(scalars.compute(flat(self.program.outputs[k])))
-
-    def _in_pieces(self, code: Code, rows: Mapping[str, Rows]) -> None:
-        """Write the program as several functions, called in turn."""
-        program, module, g = self.program, code.module, self.program.graph
-        blocks = {(k, start): piece for k in self.written for start, piece in rows[f"r{k}"].blocks().items()}
-        if not module.by_columns:
-            written = {block: entries for block, entries in blocks.items() if not self._zeros(block, entries)}
-            for k in sorted({k for k, _ in blocks.keys() - written.keys()}):
-                rows[f"r{k}"].clear()
-            blocks = written
-        first = [i for i in program.live if g.operation(i) in _TURNING or kernel_of(g.call_of(i)) is not None]
-        scratch = Scratch(program, module.processor, first, blocks)
-        for number, steps in enumerate(scratch.pieces):
-            piece = Code(module, self.lanes)
-            inner = self._moved(piece)
-            scalars = Scalars(piece, program, functools.partial(_entry, inner))
-            straight = number and number not in scratch.products
-            values = scalars.values = PieceValues(piece, scratch, steps, module.processor.held if straight else None)
-            if number in scratch.products:
-                write_product(piece, scratch, scratch.products[number], scalars.value)
-            for nodes, complete in steps:
-                scalars.in_piece(nodes)
-                for k, start in complete:
-                    entries = scratch.entries((k, start))
-                    inner[f"r{k}"].write_block(start, list(map(scalars.value, entries)))
-                    values.used(entries)
-            head = f"void @piece.{number}(ptr noalias %scratch, i64 %last{self._heads('ptr noalias')})"
-            linkage = "internal " if module.processor.triple else ""
-            module.pieces[f"piece.{number}"] = f"declare {head}", piece.function(linkage + head)
-        memory = scratch.allocated(code)
-        for number in range(len(scratch.pieces)):
-            code.lines.append(f"call void @piece.{number}(ptr {memory}, i64 %last{self._heads('ptr')})")
-        scratch.freed(code, memory)
-
-    def _zeros(self, block: tuple[int, int], entries: Sequence[int]) -> bool:
-        """Whether a block of a result is zeros."""
-        nodes, numbers = self.program.outputs[block[0]].reshape(-1), self.program.graph.numbers
-        return all(numbers[nodes[entry]] == 0 for entry in entries)
-
-    def plain(self, arguments: Sequence[NDArray[Any]], rounded: Rounded = np.asarray) -> list[NDArray[Any]]:
-        return by_numpy(self.program, arguments, rounded)
-
-
 def _called_by_numpy(rounded: Rounded, call: OpaqueCall, values: dict[int, NDArray[Any]]) -> dict[int, NDArray[Any]]:
     """The results of a call, of a product of matrices or of a kernel."""
-    by_call = product_by_numpy if kernel_of(call) is None else results_by_numpy
-    return {i: rounded(value) for i, value in by_call(call, values).items()}
-
-
-def _entry(rows: Mapping[str, Rows], argument: int, entry: int) -> str:
-    return rows[f"a{argument}"].read(entry)
+    if isinstance(call.key, Repeated):
+        results = repeated_by_numpy(call, values, functools.partial(by_numpy, rounded=rounded))
+    else:
+        results = product_by_numpy(call, values) if kernel_of(call) is None else results_by_numpy(call, values)
+    return {i: rounded(value) for i, value in results.items()}
 
 
 def arguments_of(program: ScalarProgram) -> list[Array]:

@@ -180,3 +180,28 @@ class Rows:
                     paired[place] = code.emit(f"shufflevector {pair}, <{lanes} x i32> <{order}>")
             vectors, size = paired, 2 * size
         return vectors
+
+
+class Columns(Rows):
+    """Rows in memory by columns: the entries of all lanes one after the other."""
+
+    def __init__(self, code: Code, array: Array, pointers: Iterable[str]) -> None:
+        super().__init__(code, array, pointers)
+        self._blocks = False
+
+    def clear(self) -> None:
+        size = str(self._array.size * self._code.lanes * self._align)
+        (pointer,) = self.pointers
+        self._code.call("void", "llvm.memset.p0.i64", ("ptr", pointer), ("i8", "0"), ("i64", size), ("i1", "false"))
+
+    def _gathered(self, entry: int) -> str:
+        return self._code.emit(
+            f"load {self._code.vector(self._array.kind)}, ptr {self._place(entry)}, align {self._align}"
+        )
+
+    def _scatter(self, entry: int, value: str) -> None:
+        vector = self._code.vector(self._array.kind)
+        self._code.lines.append(f"store {vector} {value}, ptr {self._place(entry)}, align {self._align}")
+
+    def _place(self, entry: int) -> str:
+        return self._moved(self.pointers[0], str(entry * self._code.lanes))

@@ -25,7 +25,7 @@ from ..code import NAMES, Code, Module, NotNative
 from ..kernel_body import NATIVE_LIMITS, KernelBody, Rounded, Scalars, native_form
 from ..lanes import Array, Rows
 from ..machine_code import Processor
-from ..pieces import STACK
+from ..straight.pieces import STACK
 from .entrywise import Lazy, Value, broadcast, number
 from .equations import WRITERS
 from .matrices import MatrixWriter

@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple, TypeAlias
 
-from ...graph import OpaqueCall
-from ...primitives.interface import flat, kernel_of
-from ...program import ScalarProgram
-from .code import NAMES, Code
-from .machine_code import Processor
+from ....graph import OpaqueCall
+from ....primitives.interface import PRODUCT, by_columns, flat, is_loop, kernel_of
+from ....program import ScalarProgram
+from ..code import NAMES, Code
+from ..machine_code import Processor
 
 #: Operations in a piece. Of functions with more the memory that LLVM takes grows.
 _LENGTH = 4000
@@ -42,7 +42,7 @@ class Scratch:
 
     Attributes:
         pieces: what is computed and written, in order.
-        products: those of these that are loops, products of matrices, by number.
+        loops: those of these that are products of matrices, or write the arguments of functions, by number.
         slots: by node, its place in memory; places are reused.
     """
 
@@ -57,14 +57,18 @@ class Scratch:
         length = _LENGTH_ON_DEVICE if processor.triple else _LENGTH
         begun = set(g.live(first))
         parts = [[i for i in program.live if i in begun]]
-        self.products: dict[int, OpaqueCall] = {}
+        self.loops: dict[int, OpaqueCall] = {}
+        written_after: set[int] = set()
         place = dict.fromkeys(parts[0], 0)
         for i in program.live:
             call = g.call_of(i)
-            if call is not None and kernel_of(call) is None and call.first == [i]:
-                self.products[len(parts)] = call
-                place.update(dict.fromkeys(flat(*call.results), len(parts)))
-                parts += [[], []]
+            if call is not None and is_loop(call) and call.first == [i]:
+                self.loops[len(parts)] = call
+                # A function is called after the piece that writes its arguments.
+                results = len(parts) + (call.key != PRODUCT)
+                written_after.add(results)
+                place.update(dict.fromkeys(flat(*call.results), results))
+                parts += [[] for _ in range(2 if call.key == PRODUCT else 3)]
             elif i not in begun and g.operation(i) is not None:
                 if len(parts) == 1 or len(parts[-1]) == length:
                     parts.append([])
@@ -81,7 +85,7 @@ class Scratch:
                 last[a] = max(last.get(a, 0), number)
         for block, nodes in self._blocks.items():
             number, latest = max((place.get(i, 0), i) for i in nodes)
-            if number in self.products:
+            if number in written_after:
                 after.setdefault(number, []).append(block)
             else:
                 (complete.setdefault(latest, []) if number else at_once).append(block)
@@ -113,8 +117,12 @@ class Scratch:
         """Rows of the matrices of products that stand in memory one after the other, by the piece that begins them."""
         g, rows = self.graph, dict[int, list[tuple[int, ...]]]()
         taken: set[int] = set()
-        for call in self.products.values():
-            for row in map(tuple, (*call.arguments[1].tolist(), *call.results[0].tolist())):
+        for call in self.loops.values():
+            if call.key == PRODUCT:
+                wanted = map(tuple, (*call.arguments[1].tolist(), *call.results[0].tolist()))
+            else:
+                wanted = map(tuple, map(by_columns, call.results))
+            for row in wanted:
                 is_computed = all(g.operation(i) is not None or g.call_of(i) is not None for i in row)
                 if is_computed and len({*row}) == len(row) and taken.isdisjoint(row):
                     rows.setdefault(min(place[i] for i in row), []).append(row)

@@ -10,8 +10,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from ...graph import OpaqueCall
-from .code import NAMES, Code
+from ....graph import OpaqueCall
+from ..code import NAMES, Code
 from .pieces import Scratch
 
 #: Rows of the right factor whose entries of a column wait in registers; of more each is loaded where it is multiplied.
