@@ -6,6 +6,7 @@ from kinds_models import (
     Point,
     Rates,
     attitude,
+    controls,
     cross,
     dot,
     fixed,
@@ -13,9 +14,11 @@ from kinds_models import (
     inputs,
     lie,
     number,
+    numbers,
     solve,
     spatial_inertia,
     state,
+    states,
     vector,
 )
 from kinds_vehicles import norm, place, pose, twist, wrench
@@ -47,13 +50,8 @@ def rotary_pendulum() -> Rates:
 
 def ball_and_beam() -> Rates:
     x, v, q, s = state("x", "m"), state("v", "m/s"), state("q", "rad"), state("s", "rad/s")
-    m, I, r, J, tau = (
-        number("m", 0.1, "kg"),
-        number("I", 1e-4, "kg m2"),
-        number("r", 0.02, "m"),
-        number("J", 0.03, "kg m2"),
-        inputs("tau", "N m"),
-    )
+    m, I, r, J = numbers("m 0.1 kg, I 1e-4 kg m2, r 0.02 m, J 0.03 kg m2")
+    tau = inputs("tau", "N m")
     return {
         x: v,
         v: m * (x * s**2 - G * tx.Sin(q)) / (m + I / r**2),
@@ -63,20 +61,9 @@ def ball_and_beam() -> Rates:
 
 
 def crane() -> Rates:
-    x, v, length, rope, q, s = (
-        state("x", "m"),
-        state("v", "m/s"),
-        state("length", "m"),
-        state("rope", "m/s"),
-        state("q", "rad"),
-        state("s", "rad/s"),
-    )
-    a, b, damping, tau = (
-        inputs("a", "m/s2"),
-        inputs("b", "m/s2"),
-        number("damping", 0.1, "1/s"),
-        number("tau", 1.0, "s"),
-    )
+    x, v, length, rope, q, s = states("x m, v m/s, length m, rope m/s, q rad, s rad/s")
+    a, b = controls("a m/s2, b m/s2")
+    damping, tau = numbers("damping 0.1 1/s, tau 1.0 s")
     return {
         x: v,
         v: a - v / tau,
@@ -89,28 +76,15 @@ def crane() -> Rates:
 
 def quarter_car() -> Rates:
     z, w, u, v = state("z", "m"), state("w", "m"), state("u", "m/s"), state("v", "m/s")
-    M, m, k, c, tyre, road = (
-        number("M", 300.0, "kg"),
-        number("m", 40.0, "kg"),
-        number("k", 2e4, "N/m"),
-        number("c", 1500.0, "N s/m"),
-        number("tyre", 2e5, "N/m"),
-        inputs("road", "m"),
-    )
+    M, m, k, c, tyre = numbers("M 300.0 kg, m 40.0 kg, k 2e4 N/m, c 1500.0 N s/m, tyre 2e5 N/m")
+    road = inputs("road", "m")
     push = k * (w - z) + c * (v - u)
     return {z: u, w: v, u: push / M - G, v: (tyre * (road - w) - push) / m - G}
 
 
 def half_car() -> Rates:
     z, pitch, u, s = state("z", "m"), state("pitch", "rad"), state("u", "m/s"), state("s", "rad/s")
-    m, I, a, b, k, c = (
-        number("m", 900.0, "kg"),
-        number("I", 1400.0, "kg m2"),
-        number("a", 1.2, "m"),
-        number("b", 1.5, "m"),
-        number("k", 3e4, "N/m"),
-        number("c", 2e3, "N s/m"),
-    )
+    m, I, a, b, k, c = numbers("m 900.0 kg, I 1400.0 kg m2, a 1.2 m, b 1.5 m, k 3e4 N/m, c 2e3 N s/m")
     front = -k * (z - a * tx.Sin(pitch)) - c * (u - a * s * tx.Cos(pitch))
     rear = -k * (z + b * tx.Sin(pitch)) - c * (u + b * s * tx.Cos(pitch))
     return {z: u, pitch: s, u: (front + rear) / m - G, s: (b * rear - a * front) * tx.Cos(pitch) / I}
@@ -118,13 +92,8 @@ def half_car() -> Rates:
 
 def wheel_with_slip() -> Rates:
     v, s = state("v", "m/s"), state("s", "rad/s")
-    m, I, r, load, brake = (
-        number("m", 300.0, "kg"),
-        number("I", 1.2, "kg m2"),
-        number("r", 0.3, "m"),
-        number("load", 3e3, "N"),
-        inputs("brake", "N m"),
-    )
+    m, I, r, load = numbers("m 300.0 kg, I 1.2 kg m2, r 0.3 m, load 3e3 N")
+    brake = inputs("brake", "N m")
     B, C, D = number("B", 10.0, "1"), number("C", 1.9, "1"), number("D", 1.0, "1")
     slip = (r * s - v) / tx.Max(v, number("least", 0.1, "m/s"))
     force = load * D * tx.Sin(C * tx.Atan(B * slip))
@@ -133,19 +102,9 @@ def wheel_with_slip() -> Rates:
 
 def wind_turbine() -> Rates:
     s, twist_angle, g = state("s", "rad/s"), state("twist", "rad"), state("g", "rad/s")
-    I, Ig, k, c = (
-        number("I", 4.0, "kg m2"),
-        number("Ig", 0.5, "kg m2"),
-        number("k", 80.0, "N m"),
-        number("c", 0.5, "N m s"),
-    )
-    rho, radius, wind, load, ratio = (
-        number("rho", 1.2, "kg/m3"),
-        number("radius", 1.3, "m"),
-        inputs("wind", "m/s"),
-        inputs("load", "N m"),
-        number("ratio", 9.0, "1"),
-    )
+    I, Ig, k, c = numbers("I 4.0 kg m2, Ig 0.5 kg m2, k 80.0 N m, c 0.5 N m s")
+    rho, radius, ratio = numbers("rho 1.2 kg/m3, radius 1.3 m, ratio 9.0 1")
+    wind, load = controls("wind m/s, load N m")
     tip = s * radius / wind
     share = tx.Linterp(tip, [0.0, 1.0, 3.0], tx.Parameter("share", value=[0.0, 0.2, 0.44], unit="1"))
     gain = rho * tx.Constant(3.14159, unit="1") * radius**3 * share * wind**2 / (2 * tip)
@@ -155,39 +114,22 @@ def wind_turbine() -> Rates:
 
 def tank() -> Rates:
     h, T = state("h", "m"), state("T", "K")
-    area, hole, flow, warm = (
-        number("area", 1.1, "m2"),
-        number("hole", 0.02, "m2"),
-        inputs("flow", "m3/s"),
-        inputs("warm", "K"),
-    )
+    area, hole = numbers("area 1.1 m2, hole 0.02 m2")
+    flow, warm = controls("flow m3/s, warm K")
     return {h: (flow - hole * tx.Sqrt(2 * G * h)) / area, T: flow * (warm - T) / (area * h)}
 
 
 def gas_spring() -> Rates:
     x, v = state("x", "m"), state("v", "m/s")
-    m, area, p0, x0, outer, power = (
-        number("m", 4.0, "kg"),
-        number("area", 0.01, "m2"),
-        number("p0", 3e5, "Pa"),
-        number("x0", 0.4, "m"),
-        number("outer", 1e5, "Pa"),
-        number("power", 1.4, "1"),
-    )
+    m, area, p0, x0, outer, power = numbers("m 4.0 kg, area 0.01 m2, p0 3e5 Pa, x0 0.4 m, outer 1e5 Pa, power 1.4 1")
     pressure = p0 * (x0 / x) ** power
     return {x: v, v: (pressure - outer) * area / m - G}
 
 
 def heat_exchanger() -> Rates:
     a, b = state("a", "K"), state("b", "K")
-    ca, cb, k, source, outer, area = (
-        number("ca", 3e3, "J/K"),
-        number("cb", 5e3, "J/K"),
-        number("k", 12.0, "W/K"),
-        inputs("source", "W"),
-        number("outer", 300.0, "K"),
-        number("area", 0.5, "m2"),
-    )
+    ca, cb, k, outer, area = numbers("ca 3e3 J/K, cb 5e3 J/K, k 12.0 W/K, outer 300.0 K, area 0.5 m2")
+    source = inputs("source", "W")
     sigma = number("sigma", 5.67e-8, "kg s-3 K-4")
     return {a: (source - k * (a - b)) / ca, b: (k * (a - b) - sigma * area * (b**4 - outer**4)) / cb}
 
@@ -195,12 +137,7 @@ def heat_exchanger() -> Rates:
 def soft_ground() -> Rates:
     p, v, m = tx.State("p", shape=(3,), kind=Point("world")), vector("v", "m/s", "world"), number("m", 2.0, "kg")
     up = fixed("up", [0.0, 0.0, 1.0], "1", "world")
-    k, c, mu, slip = (
-        number("k", 1e3, "N/m"),
-        number("c", 0.4, "s/m"),
-        number("mu", 0.7, "1"),
-        number("slip", 0.01, "m/s"),
-    )
+    k, c, mu, slip = numbers("k 1e3 N/m, c 0.4 s/m, mu 0.7 1, slip 0.01 m/s")
     depth, sinking = number("height", 2.0, "m") - dot(up, p), -dot(up, v)
     normal = k * tx.Max(depth, 0.0) * tx.Max(1 + c * sinking, 0.0)
     along = v - up * dot(up, v)
@@ -237,40 +174,23 @@ def hopper() -> Rates:
 
 def elastic_joint() -> Rates:
     q, motor, s, r = state("q", "rad"), state("motor", "rad"), state("s", "rad/s"), state("r", "rad/s")
-    I, B, k, m, l, N, tau = (
-        number("I", 0.4, "kg m2"),
-        number("B", 0.02, "kg m2"),
-        number("k", 40.0, "N m"),
-        number("m", 2.0, "kg"),
-        number("l", 0.4, "m"),
-        number("N", 50.0, "1"),
-        inputs("tau", "N m"),
-    )
+    I, B, k, m, l, N = numbers("I 0.4 kg m2, B 0.02 kg m2, k 40.0 N m, m 2.0 kg, l 0.4 m, N 50.0 1")
+    tau = inputs("tau", "N m")
     spring = k * (motor / N - q)
     return {q: s, motor: r, s: (spring - m * G * l * tx.Sin(q)) / I, r: (tau - spring / N) / B}
 
 
 def lead_screw() -> Rates:
     x, v = state("x", "m"), state("v", "m/s")
-    pitch, I, m, tau, coulomb, soft = (
-        number("pitch", 0.01, "m"),
-        number("I", 1e-3, "kg m2"),
-        number("m", 20.0, "kg"),
-        inputs("tau", "N m"),
-        number("coulomb", 4.0, "N"),
-        number("soft", 0.01, "m/s"),
-    )
+    pitch, I, m, coulomb, soft = numbers("pitch 0.01 m, I 1e-3 kg m2, m 20.0 kg, coulomb 4.0 N, soft 0.01 m/s")
+    tau = inputs("tau", "N m")
     return {x: v, v: (tau / pitch - coulomb * tx.Tanh(v / soft)) / (m + I / pitch**2)}
 
 
 def train() -> Rates:
     x, v = state("x", "m"), state("v", "m/s")
-    m, rolling, drag, F = (
-        number("m", 4e5, "kg"),
-        number("rolling", 0.002, "1"),
-        number("drag", 9.0, "kg/m"),
-        inputs("F", "N"),
-    )
+    m, rolling, drag = numbers("m 4e5 kg, rolling 0.002 1, drag 9.0 kg/m")
+    F = inputs("F", "N")
     slope = tx.Linterp(
         x / number("grid", 1.0, "m"), [0.0, 1.0, 3.0], tx.Parameter("slopes", value=[0.0, 0.3, 0.1], unit="1")
     )
@@ -279,12 +199,7 @@ def train() -> Rates:
 
 def acrobot_with_friction() -> Rates:
     a, b, u, v = state("a", "rad"), state("b", "rad"), state("u", "rad/s"), state("v", "rad/s")
-    I1, I2, m1, m2 = (
-        number("I1", 0.5, "kg m2"),
-        number("I2", 0.4, "kg m2"),
-        number("m1", 1.0, "kg"),
-        number("m2", 0.7, "kg"),
-    )
+    I1, I2, m1, m2 = numbers("I1 0.5 kg m2, I2 0.4 kg m2, m1 1.0 kg, m2 0.7 kg")
     l, c1, c2, tau = number("l", 0.6, "m"), number("c1", 0.3, "m"), number("c2", 0.4, "m"), inputs("tau", "N m")
     f1, f2 = number("f1", 0.1, "N m s"), number("f2", 0.2, "N m s")
     both = m2 * l * c2 * tx.Cos(b)
@@ -323,14 +238,8 @@ def hand_on_an_arm() -> Rates:
 def jet_boat() -> Rates:
     x, y, yaw = state("x", "m"), state("y", "m"), state("yaw", "rad")
     u, v, r = state("u", "m/s"), state("v", "m/s"), state("r", "rad/s")
-    mu, mv, I, du, dv, dr = (
-        number("mu", 300.0, "kg"),
-        number("mv", 400.0, "kg"),
-        number("I", 500.0, "kg m2"),
-        number("du", 80.0, "kg/s"),
-        number("dv", 120.0, "kg/s"),
-        number("dr", 300.0, "N m s"),
-    )
+    mu, mv, I = numbers("mu 300.0 kg, mv 400.0 kg, I 500.0 kg m2")
+    du, dv, dr = numbers("du 80.0 kg/s, dv 120.0 kg/s, dr 300.0 N m s")
     T, angle, arm = inputs("T", "N"), inputs("angle", "rad"), number("arm", 2.0, "m")
     return {
         x: u * tx.Cos(yaw) - v * tx.Sin(yaw),
@@ -346,12 +255,8 @@ def hanging_load() -> Rates:
     """A load below a quadrotor: the direction of the cable is a vector of length one."""
     p, v = tx.State("p", shape=(3,), kind=Point("world")), vector("v", "m/s", "world")
     q, w = vector("q", "1", "world"), vector("w", "rad/s", "world")
-    m, load, length, F = (
-        number("m", 1.0, "kg"),
-        number("load", 0.4, "kg"),
-        number("length", 0.8, "m"),
-        inputs("F", "N", "world"),
-    )
+    m, load, length = numbers("m 1.0 kg, load 0.4 kg, length 0.8 m")
+    F = inputs("F", "N", "world")
     pull = (dot(q, F) - m * length * dot(w, w)) / (m + load)
     return {p: v, v: pull * q + G * DOWN, q: cross(w, q), w: -cross(q, F) / (m * length)}
 
@@ -359,12 +264,8 @@ def hanging_load() -> Rates:
 def separated_bodies() -> Rates:
     """Two points that attract each other and drag through a medium at rest."""
     a, b = (tx.State(name, shape=(3,), kind=Point("world")) for name in "ab")
-    u, v, m, n = (
-        vector("u", "m/s", "world"),
-        vector("v", "m/s", "world"),
-        number("m", 1.0, "kg"),
-        number("n", 2.0, "kg"),
-    )
+    m, n = numbers("m 1.0 kg, n 2.0 kg")
+    u, v = vector("u", "m/s", "world"), vector("v", "m/s", "world")
     c = number("c", 0.2, "kg/s")
     big = number("big", 0.6, "m3 kg-1 s-2")
     apart = b - a

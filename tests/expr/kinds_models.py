@@ -32,6 +32,22 @@ def number(name: str, value: float, unit: str) -> tx.Parameter:
     return tx.Parameter(name, value=value, unit=unit)
 
 
+def numbers(text: str) -> list[tx.Parameter]:
+    """Parameters by name, value and unit, as in "m 2.0 kg, I 0.4 kg m2"."""
+    parts = (part.split(" ", 2) for part in text.split(", "))
+    return [number(name, float(value), unit) for name, value, unit in parts]
+
+
+def states(text: str) -> list[tx.State]:
+    """States by name and unit, as in "x m, v m/s"."""
+    return [state(*part.split(" ", 1)) for part in text.split(", ")]
+
+
+def controls(text: str) -> list[tx.Control]:
+    """Controls by name and unit."""
+    return [inputs(*part.split(" ", 1)) for part in text.split(", ")]
+
+
 def fixed(name: str, value: Any, unit: str, frame: str) -> tx.Parameter:
     return tx.Parameter(name, value=np.asarray(value, float), kind=Vector(frame), unit=unit)
 
@@ -209,12 +225,8 @@ def spherical_pendulum() -> Rates:
 
 def bicycle_car() -> Rates:
     x, y, yaw, v = state("x", "m"), state("y", "m"), state("yaw", "rad"), state("v", "m/s")
-    steer, F, wheelbase, m = (
-        inputs("steer", "rad"),
-        inputs("F", "N"),
-        number("wheelbase", 2.5, "m"),
-        number("m", 1200.0, "kg"),
-    )
+    steer, F = controls("steer rad, F N")
+    wheelbase, m = numbers("wheelbase 2.5 m, m 1200.0 kg")
     drag = number("drag", 0.4, "kg/m")
     return {x: v * tx.Cos(yaw), y: v * tx.Sin(yaw), yaw: v * tx.Tan(steer) / wheelbase, v: (F - drag * v**2) / m}
 
@@ -269,25 +281,15 @@ def airship() -> Rates:
 
 def spring_bodies() -> Rates:
     x, y, u, v = state("x", "m"), state("y", "m"), state("u", "m/s"), state("v", "m/s")
-    m, n, k, c, rest = (
-        number("m", 1.0, "kg"),
-        number("n", 2.0, "kg"),
-        number("k", 30.0, "N/m"),
-        number("c", 0.3, "kg/s"),
-        number("rest", 0.4, "m"),
-    )
+    m, n, k, c, rest = numbers("m 1.0 kg, n 2.0 kg, k 30.0 N/m, c 0.3 kg/s, rest 0.4 m")
     pull = k * (y - x - rest) + c * (v - u)
     return {x: u, y: v, u: pull / m, v: -pull / n}
 
 
 def battery_car() -> Rates:
     x, v, energy = state("x", "m"), state("v", "m/s"), state("energy", "J")
-    m, F, rolling, eta = (
-        number("m", 900.0, "kg"),
-        inputs("F", "N"),
-        number("rolling", 0.01, "1"),
-        number("eta", 0.9, "1"),
-    )
+    m, rolling, eta = numbers("m 900.0 kg, rolling 0.01 1, eta 0.9 1")
+    F = inputs("F", "N")
     return {x: v, v: F / m - rolling * G, energy: -F * v / eta}
 
 

@@ -11,6 +11,7 @@ from kinds_models import (
     inputs,
     lie,
     number,
+    numbers,
     solve,
     spatial_inertia,
     state,
@@ -39,21 +40,14 @@ def control_moment_gyro() -> Rates:
 def gyro_with_bias() -> Rates:
     R, bias = attitude(), vector("bias", "rad/s", "body")
     measured, tau = inputs("measured", "rad/s", "body"), number("tau", 60.0, "s")
-    up, gain, seen = (
-        fixed("up", [0.0, 0.1, 1.0], "1", "world"),
-        number("gain", 0.4, "1/s"),
-        inputs("seen", "1", "body"),
-    )
+    up, seen, gain = fixed("up", [0.0, 0.1, 1.0], "1", "world"), inputs("seen", "1", "body"), number("gain", 0.4, "1/s")
     return {R: measured - bias + gain * cross(seen, R.T @ up), bias: -bias / tau}
 
 
 def oblate_orbit() -> Rates:
     p, v, mu = point("p", "inertial"), vector("v", "m/s", "inertial"), number("mu", 3.9, "m3/s2")
-    J2, radius, axis = (
-        number("J2", 0.3, "1"),
-        number("radius", 0.9, "m"),
-        fixed("axis", [0.0, 0.0, 1.0], "1", "inertial"),
-    )
+    J2, radius = numbers("J2 0.3 1, radius 0.9 m")
+    axis = fixed("axis", [0.0, 0.0, 1.0], "1", "inertial")
     d = norm(p)
     up = dot(axis, p) / d
     oblate = 3 * J2 * (radius / d) ** 2 / 2 * (p * (5 * up**2 - 1) - 2 * axis * up * d)

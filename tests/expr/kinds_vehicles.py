@@ -21,6 +21,7 @@ from kinds_models import (
     inputs,
     lie,
     number,
+    numbers,
     solve,
     spatial_inertia,
     state,
@@ -274,11 +275,8 @@ def balloon() -> Rates:
 
 def tethered_kite() -> Rates:
     p, v, m = point("p"), vector("v", "m/s", "world"), number("m", 2.0, "kg")
-    wind, area, rho = (
-        fixed("wind", [8.0, 0.0, 0.5], "m/s", "world"),
-        number("area", 3.0, "m2"),
-        number("rho", 1.2, "kg/m3"),
-    )
+    area, rho = numbers("area 3.0 m2, rho 1.2 kg/m3")
+    wind = fixed("wind", [8.0, 0.0, 0.5], "m/s", "world")
     k, rest, lift = number("k", 50.0, "N/m"), number("rest", 0.2, "m"), number("lift", 0.8, "1")
     air = wind - v
     load = rho * area * norm(air) / 2

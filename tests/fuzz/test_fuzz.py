@@ -29,6 +29,13 @@ def test_every_path_gives_the_number_of_numpy(number: int, unchecked: None) -> N
     assert check(case) == "", case.as_code()
 
 
+@pytest.mark.parametrize("number", [43, 51, 59, 67, 75])
+def test_so_does_every_path_of_a_tree(number: int, unchecked: None) -> None:
+    """And its canonical form stays as it is."""
+    case = drawn(12, number)
+    assert check(case) == "", case.as_code()
+
+
 def test_most_terms_say_something_and_all_operations_come() -> None:
     cases = [drawn(0, number) for number in range(120)]
     terms = [(case, term) for case in cases[:10] for term in case.terms]

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from integrator_bodies import CENTRE, GRAVITY, MASS, free_body, spatial_inertia, start
 from scipy.spatial.transform import Rotation
-from test_integrate import compilations
 
 import twistax as tx
+from compilations import compilations
 from twistax.jax_inside import all_equations
 from twistax.scenes import SCENES
 
@@ -67,13 +67,12 @@ def test_the_error_falls_with_the_tolerance(tableau: tx.tableaus.ButcherTableau,
     [({"rtol": 1e-8}, tx.RKMK(tx.tableaus.DOP853, tx.charts.Ambient())), ({"dt": 0.1}, tx.RKMK(tx.tableaus.RK4))],
     ids=["tolerances", "fixed"],
 )
-def test_what_is_taken_without_a_method(
-    steps: dict[str, float], method: tx.RKMK, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_what_is_taken_without_a_method(steps: dict[str, float], method: tx.RKMK) -> None:
     """What the report advises for tolerances, and the classical method for fixed steps: nothing compiles again."""
     expected = TUMBLE.integrate(t1=1.0, method=method, **steps)
-    assert compilations(caplog, lambda: TUMBLE.integrate(t1=1.0, **steps)) == []
-    found = TUMBLE.integrate(t1=1.0, **steps)
+    with compilations() as more:
+        found = TUMBLE.integrate(t1=1.0, **steps)
+    assert not more
     assert found.stats == expected.stats
     np.testing.assert_array_equal(found.xs["g"], expected.xs["g"])
 
@@ -252,7 +251,7 @@ def test_evaluations_are_counted_as_they_are_made(tableau: tx.tableaus.ButcherTa
 # ---- numbers are inputs, and keep their precision --------------------------------------------------------------------
 
 
-def test_other_numbers_do_not_compile_again(caplog: pytest.LogCaptureFixture) -> None:
+def test_other_numbers_do_not_compile_again() -> None:
     system = free_body()
     g, V = system.states
     M, F = system.parameters[0], tx.Control("F", shape=(6,))
@@ -273,9 +272,13 @@ def test_other_numbers_do_not_compile_again(caplog: pytest.LogCaptureFixture) ->
             save_at=[0.4 * k, 0.7 * k],
         )
 
-    assert compilations(caplog, lambda: solve(1.0, None))
-    assert compilations(caplog, lambda: solve(2.0, 0.01)) == []
-    assert compilations(caplog, lambda: solve(3.0, None)) == []
+    with compilations() as first:
+        solve(1.0, None)
+    with compilations() as others:
+        solve(2.0, 0.01)
+        solve(3.0, None)
+    assert first
+    assert not others
 
 
 def test_single_precision_stays_single() -> None:

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import twistax as tx
+from compilations import compilations
 
 TIMES = np.array([0.0, 0.5, 0.75, 2.0])
 HELD = tx.ZeroOrderHold([0.0, 0.5, 1.0], [1.0, -2.0, 3.0])
@@ -185,22 +186,6 @@ class _Twice(tx.columns.Layout):
         return [tx.columns.Column("a[1]", "m", solution.ts)] * 2
 
 
-def compiled(call: Any) -> int:
-    """How many programs XLA compiles during a call."""
-    found: list[str] = []
-
-    def listen(event: str, seconds: float, **_: Any) -> None:
-        if event == "/jax/core/compile/backend_compile_duration":
-            found.append(event)
-
-    jax.monitoring.register_event_duration_secs_listener(listen)
-    try:
-        call()
-    finally:
-        jax.monitoring.unregister_event_duration_listener(listen)
-    return len(found)
-
-
 @pytest.mark.parametrize("way", [{"dt": 0.25}, pytest.param({"rtol": 1e-6}, marks=pytest.mark.slow)])
 def test_other_rows_and_another_table_compile_nothing(way: dict[str, float]) -> None:
     def fly(rows: int, last: float) -> tx.Solution:
@@ -213,8 +198,12 @@ def test_other_rows_and_another_table_compile_nothing(way: dict[str, float]) -> 
         return solution
 
     fly(5, 3.0)
-    assert compiled(lambda: fly(33, 1.0)) == 0
-    assert compiled(lambda: jax.jit(lambda a: a - 1.0)(1.0)) > 0
+    with compilations() as more:
+        fly(33, 1.0)
+    assert not more
+    with compilations() as more:
+        jax.jit(lambda a: a - 1.0)(1.0)
+    assert more
 
 
 @pytest.mark.slow
@@ -229,8 +218,9 @@ def test_another_level_of_an_event_compiles_nothing() -> None:
         return float(found.ts[-1])
 
     assert fly(1.3) == pytest.approx(1.3)
-    assert compiled(lambda: fly(0.6)) == 0
-    assert fly(0.6) == pytest.approx(0.6)
+    with compilations() as more:
+        assert fly(0.6) == pytest.approx(0.6)
+    assert not more
 
 
 METHODS = {

@@ -2,7 +2,6 @@
 
 import functools
 import inspect
-import logging
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +10,7 @@ import pytest
 from integrator_bodies import forced, free_body, start
 
 import twistax as tx
+from compilations import compilations
 from twistax.tableaus import EULER, HEUN
 
 
@@ -94,25 +94,22 @@ def test_single_precision_stays_single() -> None:
     np.testing.assert_allclose(sol.xs["g"], full.xs["g"], atol=1e-4)
 
 
-def compilations(caplog: pytest.LogCaptureFixture, call: object) -> list[str]:
-    caplog.clear()
-    with jax.log_compiles(), caplog.at_level(logging.WARNING):
-        call()
-    return [record.getMessage() for record in caplog.records if record.getMessage().startswith("Compiling")]
-
-
-def test_other_numbers_do_not_compile_again(caplog: pytest.LogCaptureFixture) -> None:
+def test_other_numbers_do_not_compile_again() -> None:
     dynamics = tx.compile(free_body())
     M = np.asarray(dynamics.system.parameters[0].value)
 
     def solve(dt: float, t1: float, seed: int, size: float, ts: list[float]) -> None:
         tx.integrate(dynamics, start(seed), t1=t1, dt=dt, params={"M": size * M}, save_at=ts)
 
-    assert compilations(caplog, lambda: solve(0.1, 1.0, 3, 1.0, [0.11, 0.5]))
-    assert compilations(caplog, lambda: solve(0.03, 2.5, 4, 2.0, [0.2, 1.7])) == []
+    with compilations() as first:
+        solve(0.1, 1.0, 3, 1.0, [0.11, 0.5])
+    with compilations() as second:
+        solve(0.03, 2.5, 4, 2.0, [0.2, 1.7])
+    assert first
+    assert not second
 
 
-def test_other_controls_do_not_compile_again(caplog: pytest.LogCaptureFixture) -> None:
+def test_other_controls_do_not_compile_again() -> None:
     dynamics = decay()
     ts = np.array([0.0, 1.0])
     forms = {
@@ -122,8 +119,9 @@ def test_other_controls_do_not_compile_again(caplog: pytest.LogCaptureFixture) -
     }
     for form in forms.values():
         tx.integrate(dynamics, {"x": 1.0}, t1=1.0, dt=0.1, u=form(1.0))
-        call = lambda form=form: tx.integrate(dynamics, {"x": 2.0}, t0=0.5, t1=3.0, dt=0.2, u=form(3.0))  # noqa: E731
-        assert compilations(caplog, call) == []
+        with compilations() as more:
+            tx.integrate(dynamics, {"x": 2.0}, t0=0.5, t1=3.0, dt=0.2, u=form(3.0))
+        assert not more
 
 
 @functools.cache

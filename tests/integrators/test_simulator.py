@@ -1,7 +1,6 @@
 """Integrations made once and called often: the solutions of `tx.integrate`, values checked in every call."""
 
 import functools
-import logging
 from typing import Any
 
 import jax
@@ -9,6 +8,7 @@ import numpy as np
 import pytest
 
 import twistax as tx
+from compilations import compilations
 
 R, w = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,))
 J, torque = tx.Parameter("J", shape=(3,), value=[1.0, 2.0, 3.0]), tx.Control("torque", shape=(3,))
@@ -42,16 +42,16 @@ def same(found: tx.Solution, expected: tx.Solution) -> None:
     np.testing.assert_allclose(found.outputs["pushed"], expected.outputs["pushed"], rtol=1e-14)
 
 
-def test_solutions_are_those_of_integrate_and_nothing_compiles_anew(caplog: pytest.LogCaptureFixture) -> None:
+def test_solutions_are_those_of_integrate_and_nothing_compiles_anew() -> None:
     """Whatever is left out is what it was made with, not what the last call had."""
     table, fly = tx.FirstOrderHold(TIMES, 2.0 * ROWS), flown()
     start, params = {"w": np.array([1.0, -0.2, 0.5])}, {"J": np.array([2.0, 2.0, 3.0])}
     integrate = functools.partial(tx.integrate, top(), **options())
     before = {"torque": tx.FirstOrderHold(TIMES, ROWS)}
     same(fly(), integrate(START, u=before))
-    with jax.log_compiles(), caplog.at_level(logging.WARNING):
+    with compilations() as more:
         fly(start, u={"torque": table}, params=params)
-    assert not [record for record in caplog.records if "Compiling" in record.getMessage()]
+    assert not more
     same(fly(start, u={"torque": table}, params=params), integrate(START | start, u={"torque": table}, params=params))
     same(fly({"w": [0, 1, 0]}), integrate(START | {"w": [0, 1, 0]}, u=before))
     same(fly(), integrate(START, u=before))

@@ -1,8 +1,7 @@
 """An error of an integration compiles nothing."""
 
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -10,25 +9,10 @@ import jax.numpy as jnp
 import pytest
 
 import twistax as tx
+from compilations import compilations
 from twistax.integrators.loop import failures
 
 RADAU = tx.ImplicitRKMK(tx.tableaus.RADAU_IIA5)
-
-
-@contextmanager
-def compiled() -> Iterator[list[str]]:
-    """The programs that XLA compiles inside."""
-    seen: list[str] = []
-
-    def listen(event: str, _: float, **rest: Any) -> None:
-        if "backend_compile" in event:
-            seen.append(event)
-
-    jax.monitoring.register_event_duration_secs_listener(listen)
-    try:
-        yield seen
-    finally:
-        jax.monitoring.unregister_event_duration_listener(listen)
 
 
 def x_squared() -> tx.Dynamics:
@@ -78,13 +62,13 @@ def test_an_error_compiles_nothing(name: str, monkeypatch: pytest.MonkeyPatch) -
     seen, said = [], failures.failure
 
     def watched(*arguments: Any) -> tx.IntegrationError:
-        with compiled() as programs:
+        with compilations() as programs:
             error = said(*arguments)
         seen.append(len(programs))
         return error
 
     monkeypatch.setattr(sys.modules["twistax.integrators.integrate"], "failure", watched)
-    with compiled() as all_programs, pytest.raises(tx.IntegrationError):
+    with compilations() as all_programs, pytest.raises(tx.IntegrationError):
         tx.integrate(make(), start, t1=2.0, **options)
     assert all_programs
     assert seen == [0]
