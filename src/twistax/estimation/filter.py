@@ -125,7 +125,7 @@ class Filter(ABC):
 
     def _with_covariance(self, step: Any) -> Any:
         """A prediction or an update with its covariance in place of that form."""
-        return step._replace(P=self.multiplied(step.P))
+        return type(step)(step.x, self.multiplied(step.P), *step[2:])
 
     @functools.cached_property
     def _propagated(self) -> Callable[[OperatingPoint, jax.Array, jax.Array], AnyPrediction]:
@@ -359,8 +359,7 @@ class Filter(ABC):
     def _if_present(self, name: str, point: OperatingPoint, P: jax.Array, z: jax.Array, seen: jax.Array) -> Update:
         def skip() -> Update:
             shapes = jax.eval_shape(self._corrected[name], point, P, z)
-            zeros = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes)
-            return zeros._replace(x=point.x, P=P)
+            return jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes)._replace(x=point.x, P=P)
 
         return jax.lax.cond(seen, lambda: self._corrected[name](point, P, z), skip)
 

@@ -169,8 +169,8 @@ class PreintegratedModel(StochasticModel):
         start = InertialState(x["rotation"], x["velocity"], x["position"])
         gravity = jnp.asarray(self.navigation.gravity, error.dtype)
         end = self._motion(point).predict(start, gravity, bias, error[:9])
-        biases = {"gyro_bias": bias[:3] + error[9:12], "accelerometer_bias": bias[3:] + error[12:]}
-        return {**end._asdict(), **biases}
+        motion = {"rotation": end.rotation, "velocity": end.velocity, "position": end.position}
+        return motion | {"gyro_bias": bias[:3] + error[9:12], "accelerometer_bias": bias[3:] + error[12:]}
 
 
 def model_of(

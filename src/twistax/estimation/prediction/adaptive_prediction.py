@@ -141,7 +141,7 @@ class AdaptivePrediction:
 
         search: _Search = jax.lax.while_loop(going, functools.partial(self._try, tolerances, point, length), start)
         short = (search.t < length) & (search.code == 0)
-        return search._replace(code=jnp.where(short, Result.MAX_STEPS.value, search.code))
+        return _Search(*search[:-1], jnp.where(short, Result.MAX_STEPS.value, search.code))
 
     def _try(self, tolerances: Tolerances, point: OperatingPoint, length: jax.Array, search: _Search) -> _Search:
         """One step of the search, accepted or rejected."""
