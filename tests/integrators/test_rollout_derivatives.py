@@ -100,9 +100,14 @@ def checked(f: Callable[[Inputs], jax.Array], z: Inputs, e: float, rtol: float) 
     return gradient
 
 
-def test_derivatives_of_chosen_steps() -> None:
+@pytest.mark.parametrize(
+    "how",
+    [{"rtol": 1e-11, "atol": 1e-11, "control": FEW}, pytest.param({"steps": 40}, marks=pytest.mark.slow)],
+    ids=["chosen", "fixed"],
+)
+def test_derivatives_by_all_inputs(how: dict[str, Any]) -> None:
     """The steps stay as they were chosen; their ends move with the times of the controls and of the solution."""
-    gradient = checked(functools.partial(cost, rtol=1e-11, atol=1e-11, control=FEW), inputs(), 1e-3, 1e-7)
+    gradient = checked(functools.partial(cost, **how), inputs(), 1e-3, 1e-7)
     for name, part in gradient.items():
         sizes = np.abs(np.asarray(part)).reshape(-1)
         assert np.isfinite(sizes).all()

@@ -99,6 +99,20 @@ def test_derivatives_with_respect_to_the_time_of_a_jump(first: float) -> None:
         np.testing.assert_allclose(derivative(_from)(jnp.asarray(first), 20, ts), slope, atol=1e-6)
 
 
+@pytest.mark.parametrize("bend", [0.4, 0.45])
+def test_derivatives_where_a_table_ends_with_the_solution(bend: float) -> None:
+    """x' = 1 - k x: steps that no jump has added are not taken; at their times the table has no value."""
+    x, F, k = tx.State("x"), tx.Control("F"), tx.Parameter("k")
+    dynamics = tx.compile(tx.System(rates={x: F - k * x}))
+    table = tx.FirstOrderHold([0.0, bend, 1.0], np.ones(3))
+
+    def end(k: jax.Array) -> jax.Array:
+        return tx.integrate(dynamics, {"x": 2.0}, t1=1.0, u={"F": table}, params={"k": k}, steps=10).xs["x"][0]
+
+    for derivative in (jax.jacfwd, jax.jacrev):
+        np.testing.assert_allclose(derivative(end)(jnp.asarray(1.0)), -1.0, rtol=1e-5)
+
+
 def test_other_jumps_compile_nothing() -> None:
     pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
     x, F = tx.State("x"), tx.Control("F")

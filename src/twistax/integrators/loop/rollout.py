@@ -289,8 +289,10 @@ def _taken_again(steps: Steps, stepper: Stepper, x: Arrays, run: Run, known: Mee
         return advance_again(stepper, part.t, y, part.h)
 
     count, all_parts = run.outcome.accepted, steps.steps_of(run.path)
-    # Steps beyond the count have length zero: finished members of a batch would fail there, and 0 inf is NaN.
-    taken = dataclasses.replace(all_parts, h=jnp.where(jnp.arange(steps.bound) < count, all_parts.h, 0.0))
+    # Steps beyond the count have length zero, at the start, where tables of controls have values: finished members of a
+    # batch would fail there, and 0 inf is NaN.
+    within = jnp.arange(steps.bound) < count
+    taken = StepPart(jnp.where(within, all_parts.t, all_parts.t[:1]), jnp.where(within, all_parts.h, 0.0))
     crossed = None if run.event_state is None else run.event_state.crossed
     recorded = steps.dense or run.saved is not None or crossed is not None
     start, together = stepper.stored.enter(x), functools.partial(scan_again, stepper)
