@@ -7,19 +7,17 @@ from .figures import (
     costs,
     defaults,
     derivatives,
-    distances,
     filters,
     hessians,
     identities,
     larger_matrices,
     lookups,
-    mechanisms,
-    robots,
     scalars,
     small_matrices,
     steps,
     vectors,
 )
+from .figures.robots import distances, mechanisms, tasks
 from .foreign import FOREIGN
 from .harness.measurement import Section
 from .harness.report import SectionReport
@@ -81,7 +79,7 @@ FIGURES: dict[str, Section] = {
     "larger": larger_matrices.LARGER,
     "mechanisms": mechanisms.MECHANISMS,
     "distances": distances.DISTANCES,
-    "robots": robots.ROBOTS,
+    "robots": tasks.ROBOTS,
     "landings": costs.LANDINGS,
     "optima": optimal.OPTIMA,
 }

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..jax_inside import batching
 from .graph import OpaqueCall, ScalarGraph
-from .primitives.interface import Nodes, Repeated, flat
+from .primitives.interface import Nodes, RepeatedMembers, flat
 from .primitives.table_load import Table
 from .primitives.table_loads import Load
 
@@ -94,7 +94,7 @@ class ScalarProgram:
         operations = (self.graph.operation(i) for i in self.live)
         counts = Counter(operation.name for operation in operations if operation is not None)
         for call in self.calls:
-            if isinstance(call.key, Repeated):
+            if isinstance(call.key, RepeatedMembers):
                 inner = call.key.program.counts()
                 counts.update({name: len(call.arguments[0]) * count for name, count in inner.items()})
             else:

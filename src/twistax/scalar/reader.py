@@ -25,7 +25,7 @@ from ..jax_inside import (
 )
 from .graph import LIMITS, OpaqueCall, ScalarGraph
 from .parts.custom_derivative import CustomDerivative
-from .primitives.interface import Limits, Nodes, Repeat, Repeated, flat, nodes, stays_call
+from .primitives.interface import Limits, Nodes, Repeat, RepeatedMembers, flat, nodes, stays_call
 from .primitives.piecewise_constant import piecewise_constant
 from .primitives.table import OPERATIONS, entry_of, say_unread
 from .program import ScalarProgram
@@ -82,7 +82,7 @@ class JaxprReader:
         if g.limits.products < math.inf and distinct and repeats_in_kernels(program, g):
             g.inside += len(arguments[0]) * program.operations
             function = alone(self._reading[-1], eqn, variables)
-            results = [array.copy() for array in g.call(function, Repeated(program), arguments, True).results]
+            results = [array.copy() for array in g.call(function, RepeatedMembers(program), arguments, True).results]
             for array, outputs in zip(results, program.outputs, strict=True):
                 for place, node in np.ndenumerate(outputs):
                     if (number := program.graph.numbers[node]) is not None:

@@ -44,7 +44,7 @@ class MovingFrame(NamedTuple):
     A: Expr
 
 
-class Columns(NamedTuple):
+class ForceColumns(NamedTuple):
     """Derivatives of the forces of a branch with respect to its degrees of freedom, and the corresponding wrenches on
     what it stands on, a row for each.
     """
@@ -183,15 +183,15 @@ class Branch:
         """The angular parts of B' S of all degrees of freedom, as rows (N, 3)."""
         return Stack(*(self._spreads[freedom.place].coupled_back(freedom.S) for freedom in self.freedoms))
 
-    def by_position(self) -> Columns:
+    def by_position(self) -> ForceColumns:
         """The derivatives with respect to positions, without the part of `moved`."""
         return self._columns([freedom.moved for freedom in self.freedoms], self._F)
 
-    def by_velocity(self) -> Columns:
+    def by_velocity(self) -> ForceColumns:
         """The derivatives with respect to velocities, without the part of `hastened`."""
         return self._columns([freedom.hastened for freedom in self.freedoms], None)
 
-    def _columns(self, changes: list[tuple[Expr, Expr]], F: Mapping[int, Expr] | None) -> Columns:
+    def _columns(self, changes: list[tuple[Expr, Expr]], F: Mapping[int, Expr] | None) -> ForceColumns:
         columns, wrenches = list[Expr](), list[Expr]()
         for freedom, place, (x, b) in zip(self.freedoms, self._tree, changes, strict=True):
             spread, (first, end, _) = self._spreads[freedom.place], place
@@ -200,16 +200,16 @@ class Branch:
                 carried = carried + AdjointDual(freedom.S, F[freedom.place])
             columns.append(self._column(place, self.felt[first:end] @ x + self.turned[first:end] @ b, carried))
             wrenches.append(carried)
-        return Columns(Stack(*columns).T, Stack(*wrenches))
+        return ForceColumns(Stack(*columns).T, Stack(*wrenches))
 
-    def mass_matrix(self) -> Columns:
+    def mass_matrix(self) -> ForceColumns:
         """The derivatives with respect to accelerations, including rotors."""
         columns: list[Expr] = []
         for k, (freedom, place) in enumerate(zip(self.freedoms, self._tree, strict=True)):
             column = self._column(place, self.felt[place[0] : place[1]] @ freedom.S, self.felt[k])
             rotor = self._segments[freedom.place].link.drive.rotor
             columns.append(column if rotor is None else column + rotor * np.eye(len(self.freedoms))[k])
-        return Columns(Stack(*columns).T, self.felt)
+        return ForceColumns(Stack(*columns).T, self.felt)
 
     def _column(self, place: tuple[int, int, Constant], beyond: Expr, carried: Expr) -> Expr:
         """One column of joint forces (N,): `beyond` for the subtree of a degree of freedom, and for its ancestors the

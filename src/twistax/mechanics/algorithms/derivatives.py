@@ -37,7 +37,7 @@ from ...expr import Block, Concat, Constant, Expr, Hstack, InverseFactor, Stack,
 from ...expr.fields import ExprLike
 from ..kinematic_tree import KinematicTree, Positions
 from ..tree import Segment
-from .branch import NOTHING, Branch, Columns, MovingFrame
+from .branch import NOTHING, Branch, ForceColumns, MovingFrame
 from .dynamics import Wrenches, checked, outside
 from .forward_dynamics import forward_dynamics
 from .inertia_frames import mirrored
@@ -169,7 +169,7 @@ class _Perturbed:
             for k, parent in enumerate(group.parents):
                 *spread, F, felt, turned, by_q, carried_q, by_qd, carried_qd, M = mapped.of(mapped.rows[k])
                 branch.add(parent, Spread(*spread), F)
-                columns = Columns(by_q, carried_q), Columns(by_qd, carried_qd), Columns(M, felt)
+                columns = ForceColumns(by_q, carried_q), ForceColumns(by_qd, carried_qd), ForceColumns(M, felt)
                 entries = [i for place in group.places(k) for i in mechanism.segments[place].freedoms]
                 self._limbs.append(_Limb(entries, branch.carry(parent), felt, turned, columns))
         branch.gather()
@@ -189,7 +189,7 @@ class _Perturbed:
         """The mass matrix M (n, n), including rotors."""
         return self._joined(self._trunk.mass_matrix(), [(freedom.S, ZERO) for freedom in self._trunk.freedoms], 2)
 
-    def _joined(self, trunk: Columns, changes: list[tuple[Expr, Expr]], kind: int) -> Expr:
+    def _joined(self, trunk: ForceColumns, changes: list[tuple[Expr, Expr]], kind: int) -> Expr:
         """The columns of trunk and limbs (n, n), for the arguments of I and B of the freedoms of the trunk."""
         N = len(self._trunk.freedoms)
         rows: list[list[ExprLike]] = [[trunk.forces]]
@@ -260,7 +260,7 @@ class _Limb(NamedTuple):
     on_path: NDArray[np.bool_]  # which degrees of freedom of the trunk move it
     felt: Expr
     turned: Expr
-    columns: tuple[Columns, Columns, Columns]  # with respect to positions, velocities and accelerations
+    columns: tuple[ForceColumns, ForceColumns, ForceColumns]  # with respect to positions, velocities and accelerations
 
 
 def _limb(segments: dict[int, Segment], T: Expr, V: Expr, A: Expr, q: Expr, qd: Expr, qdd: Expr) -> list[Expr]:

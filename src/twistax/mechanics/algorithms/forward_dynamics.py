@@ -21,7 +21,7 @@ from .closed_loops import closed_dynamics
 from .dynamics import Wrenches, bias_forces, checked, less, mass_matrix, outside
 from .inertia_frames import in_frame, mirrored
 from .limbs import Mapped, coordinates_of, equal_limbs, others
-from .motion import ZERO, Carried, Moving, acceleration_of_base, motion_of
+from .motion import ZERO, CarriedBody, Moving, acceleration_of_base, motion_of
 from .rotors import turning_of_rotors
 
 
@@ -152,7 +152,7 @@ def _limb_outward(passed: Mapped, segments: dict[int, Segment], row: Expr, B: Ex
 
 
 @dataclasses.dataclass(frozen=True)
-class _Kept(Carried):
+class _Kept(CarriedBody):
     """What the pass to the tips needs of a segment: the acceleration of each degree of freedom is alone - share' B."""
 
     shares: Sequence[Expr]

@@ -35,7 +35,7 @@ _NO_WRENCH = Constant(np.zeros(6))
 
 
 @dataclasses.dataclass(frozen=True)
-class Carried:
+class CarriedBody:
     """How accelerations pass to a segment. Six-vectors are in its frame, except `centripetal`, which is in that of its
     parent.
     """
@@ -50,7 +50,7 @@ class Carried:
 
 
 @dataclasses.dataclass(frozen=True)
-class Moving(Carried):
+class Moving(CarriedBody):
     """The motion of a segment."""
 
     segment: Segment

@@ -159,7 +159,7 @@ class ConfigurationSpace:
         return ((above > 0.0) | (slope > 0.0)) & ((below > 0.0) | (slope < 0.0))
 
     def to_middle(self, x: Arrays, at_limit: jax.Array) -> jax.Array:
-        """The step (n,) of those degrees of freedom that are at a limit to the middle of their ranges, by at most pi."""
+        """The step (n,) by at most pi to the middle of the range, of those degrees of freedom that are at a limit."""
         above, below = self.margins(x, next(iter(x.values())).dtype)
         return jnp.where(at_limit, 0.5 * jnp.clip(below - above, -2.0 * np.pi, 2.0 * np.pi), 0.0)
 

@@ -108,7 +108,7 @@ class InKernels(ABC):
 
 
 @dataclasses.dataclass(frozen=True)
-class Repeated:
+class RepeatedMembers:
     """The key of a call that computes a program for each row of its arguments.
 
     Attributes:
@@ -139,7 +139,7 @@ def kernel_of(call: Any) -> InKernels | None:
 
 def is_loop(call: Any) -> bool:
     """Whether a call is one that kernels write as a loop or a function, and others write out."""
-    return call is not None and (call.key == PRODUCT or isinstance(call.key, Repeated))
+    return call is not None and (call.key == PRODUCT or isinstance(call.key, RepeatedMembers))
 
 
 def stays_call(call: Any, limits: Limits) -> bool:

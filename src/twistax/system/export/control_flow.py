@@ -20,7 +20,7 @@ LIMITS = Limits(pivoted=12, table=256, equations=100_000)
 
 
 @dataclasses.dataclass(frozen=True)
-class Loop:
+class CalledLoop:
     """A `while_loop` or a `scan` of JAX. Entries of its state that keep their first value are numbers in it.
 
     Attributes:
@@ -50,7 +50,7 @@ class Loop:
         return [self.iteration] if self.condition is None else [self.condition, self.iteration]
 
     @classmethod
-    def of(cls, call: OpaqueCall, g: ScalarGraph) -> Loop:
+    def of(cls, call: OpaqueCall, g: ScalarGraph) -> CalledLoop:
         """The loop of a call in a graph."""
         (eqn,), every = call.jaxpr.jaxpr.eqns, _operands(call, g)
         p, avals = eqn.params, [*map(_aval, eqn.invars)]
@@ -103,7 +103,7 @@ class Branches:
 
 
 @dataclasses.dataclass(frozen=True)
-class Function:
+class CalledFunction:
     """A function with loops that stays a call.
 
     Attributes:
@@ -118,19 +118,19 @@ class Function:
 
 
 #: What has been read of calls.
-_READ: weakref.WeakKeyDictionary[OpaqueCall, Loop | Branches | Function] = weakref.WeakKeyDictionary()
+_READ: weakref.WeakKeyDictionary[OpaqueCall, CalledLoop | Branches | CalledFunction] = weakref.WeakKeyDictionary()
 
 
-def structure(call: OpaqueCall, g: ScalarGraph) -> Loop | Branches | Function | None:
+def structure(call: OpaqueCall, g: ScalarGraph) -> CalledLoop | Branches | CalledFunction | None:
     """The loop, the branches or the function of a call in a graph; None if it is none of them."""
     if call not in _READ:
         names = [eqn.primitive.name for eqn in call.jaxpr.jaxpr.eqns]
         if kernel_of(call) is not None:
-            _READ[call] = Function(_program(call.jaxpr, g.checked, functions=False))
+            _READ[call] = CalledFunction(_program(call.jaxpr, g.checked, functions=False))
         elif names == ["cond"]:
             _READ[call] = Branches.of(call, g)
         elif names in (["while"], ["scan"]):
-            _READ[call] = Loop.of(call, g)
+            _READ[call] = CalledLoop.of(call, g)
     return _READ.get(call)
 
 

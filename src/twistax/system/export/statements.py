@@ -14,7 +14,7 @@ from ...scalar.primitives.interface import Nodes, flat
 from ...scalar.primitives.table_load import Table
 from ...scalar.program import ScalarProgram
 from ...scalar.targets.c import c_type, expression
-from .control_flow import Branches, Function, Loop, structure
+from .control_flow import Branches, CalledFunction, CalledLoop, structure
 
 _STEP = "    "
 #: Entries of arrays in a line.
@@ -103,7 +103,7 @@ class Statements:
                 return name
 
             inside = structure(called, g)
-            if isinstance(inside, Function):
+            if isinstance(inside, CalledFunction):
                 names = self._called(inside, called, g, value)
             elif isinstance(inside, Branches):
                 names = self._branched(inside, called, g, value)
@@ -140,7 +140,7 @@ class Statements:
                 self.lines.append(f"{kind.name} {name}_{k}[{len(known)}];")
         return entries
 
-    def _looped(self, loop: Loop, call: OpaqueCall, g: ScalarGraph, value: Callable[[int], str]) -> list[str]:
+    def _looped(self, loop: CalledLoop, call: OpaqueCall, g: ScalarGraph, value: Callable[[int], str]) -> list[str]:
         """Add a loop, whose state is in arrays; gives the names of its results."""
         number, count = self._number(), len(loop.start)
         counter = f"k{number}"
@@ -244,7 +244,7 @@ def _place(counter: str, array: Nodes, entry: int) -> str:
     return counter if size == 1 else f"{size} * {counter} + {entry}"
 
 
-def _times(counter: str, loop: Loop) -> str:
+def _times(counter: str, loop: CalledLoop) -> str:
     if loop.reverse:
         return f"for (int32_t {counter} = {loop.length - 1}; {counter} >= 0; {counter}--) {{"
     return f"for (int32_t {counter} = 0; {counter} < {loop.length}; {counter}++) {{"

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ...graph import Limits, OpaqueCall, TooLarge
 from ...primitives.entry import Operation
-from ...primitives.interface import Repeated, flat, is_loop, kernel_of
+from ...primitives.interface import RepeatedMembers, flat, is_loop, kernel_of
 from ...primitives.table import OPERATIONS
 from ...program import ScalarProgram, called_names
 from ...reader import emitted_form
@@ -260,7 +260,7 @@ class KernelBody(BatchFunction):
 
 def _called_by_numpy(rounded: Rounded, call: OpaqueCall, values: dict[int, NDArray[Any]]) -> dict[int, NDArray[Any]]:
     """The results of a call, of a product of matrices or of a kernel."""
-    if isinstance(call.key, Repeated):
+    if isinstance(call.key, RepeatedMembers):
         results = repeated_by_numpy(call, values, functools.partial(by_numpy, rounded=rounded))
     else:
         results = product_by_numpy(call, values) if kernel_of(call) is None else results_by_numpy(call, values)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ....graph import OpaqueCall, Repeat, ScalarGraph
 from ....jax_primitive import call_program
 from ....parts.member_program import MemberProgram
-from ....primitives.interface import Repeated, by_columns, flat, nodes
+from ....primitives.interface import RepeatedMembers, by_columns, flat, nodes
 from ....primitives.operations import OPERATIONS
 from ....program import ScalarProgram
 from ....reader import renamed, repeats_in_kernels
@@ -44,7 +44,7 @@ def with_functions(program: ScalarProgram) -> ScalarProgram:
 
 def operations_once(program: ScalarProgram) -> int:
     """The number of operations, with those of each repeated program once."""
-    repeated = [call for call in program.calls if isinstance(call.key, Repeated)]
+    repeated = [call for call in program.calls if isinstance(call.key, RepeatedMembers)]
     return program.operations - sum((len(c.arguments[0]) - 1) * c.key.program.operations for c in repeated)
 
 
@@ -142,7 +142,7 @@ class _Exchange:
         known[-1] = new.zero  # of arguments on which no needed result depends
         arguments = [renamed(known, array) for array in repeat.arguments]
         function = _function(repeat.program, len(arguments[0]))
-        made = new.call(function, Repeated(repeat.program), arguments, True)
+        made = new.call(function, RepeatedMembers(repeat.program), arguments, True)
         for i, node in zip(flat(*repeat.results), flat(*made.results), strict=True):
             if self._of.get(i) == number:
                 known[i] = node

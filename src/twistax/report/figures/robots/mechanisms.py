@@ -16,14 +16,14 @@ import numpy as np
 
 import twistax as tx
 
-from ... import mechanics
-from ...mechanics import Drive, Mechanism, chain_models
-from ...mechanics.algorithms.derivatives import inverse_dynamics_derivatives
-from ...scalar.reader import scalarize
-from ..harness.expected import Absent, at_most, needed
-from ..harness.measurement import MeasuredCase, Section, quick, slow
-from ..harness.timing import Repeats, Timed, agree, batch, in_turn
-from ..speed.peers import pinocchio_model
+from .... import mechanics
+from ....mechanics import Drive, Mechanism, chain_models
+from ....mechanics.algorithms.derivatives import inverse_dynamics_derivatives
+from ....scalar.reader import scalarize
+from ...harness.expected import Absent, at_most, needed
+from ...harness.measurement import MeasuredCase, Section, quick, slow
+from ...harness.timing import Repeats, Timed, agree, batch, in_turn
+from ...speed.peers import pinocchio_model
 
 _BATCH = 4096
 _DATA = "cmeel.prefix/share/example-robot-data/robots"

@@ -15,11 +15,19 @@ from numpy import ndarray as Array
 
 import twistax as tx
 
-from ... import mechanics
-from ...mechanics import CenterOfMassTask, DifferentialController, FrameTask, Mechanism, PostureTask, ReachStatus, reach
-from ..harness.expected import at_most, between, needed
-from ..harness.measurement import Section, slow
-from ..harness.timing import Race, Timed, agree, batch, printed, seconds_of
+from .... import mechanics
+from ....mechanics import (
+    CenterOfMassTask,
+    DifferentialController,
+    FrameTask,
+    Mechanism,
+    PostureTask,
+    ReachStatus,
+    reach,
+)
+from ...harness.expected import at_most, between, needed
+from ...harness.measurement import Section, slow
+from ...harness.timing import Race, Timed, agree, batch, printed, seconds_of
 from .mechanisms import robot_file
 
 _TIP, _TOLERANCE, _SEEDS, _ITERATIONS = "panda_hand", 1e-5, 8, 100

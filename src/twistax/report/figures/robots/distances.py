@@ -10,11 +10,11 @@ from numpy import ndarray as Array
 
 import twistax as tx
 
-from ...mechanics import ConvexPolytope, signed_distance
-from ...view import Box, Cylinder
-from ..harness.expected import at_most, between, needed
-from ..harness.measurement import Section, slow
-from ..harness.timing import Race, Timed, batch
+from ....mechanics import ConvexPolytope, signed_distance
+from ....view import Box, Cylinder
+from ...harness.expected import at_most, between, needed
+from ...harness.measurement import Section, slow
+from ...harness.timing import Race, Timed, batch
 
 _POSES = 1000
 _CORNERS = np.random.default_rng(0).normal(size=(14, 3)) * 0.3

@@ -1,0 +1,1 @@
+"""Figures of robots: dynamics, distances, inverse kinematics and control."""
