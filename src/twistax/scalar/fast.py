@@ -148,14 +148,15 @@ def fast(
 ) -> Any:
     """A JAX function of pytrees of small arrays, compiled as scalars: `jax.jit` for small dense mathematics on the CPU.
 
-    XLA executes a function as a chain of operations on arrays with some 50 ns each, far more than the arithmetic of a
-    3x3 matrix takes. `fast` compiles the function to one program of scalars without structural zeros and ones and, if
-    llvmlite is installed (`pip install "twistax[native]"`), to a kernel for this processor, or for CUDA devices.
-    `lax.scan`, `fori_loop` and `while_loop` with a body of scalars become one kernel each, with all of their
-    iterations. Batches of `jax.vmap`, around the function or inside of it, and of `lax.map` run side by side in the
-    processor's vectors, or in the threads of a CUDA device. JAX executes functions without such a form (libraries,
-    large arrays, effects, random keys), and everything on other devices. `fast(f).explain(*arguments)` reports how each
-    part is executed. It warns once if there is no speed-up.
+    XLA executes a function as a chain of operations on arrays of some 50 ns each, more than the arithmetic of a 3x3
+    matrix takes. `fast` compiles the function to one scalar program without structural zeros and ones. llvmlite
+    compiles the program to a native kernel for this processor or for CUDA devices. `lax.scan`, `fori_loop` and
+    `while_loop` with a scalar body become one kernel each, with all iterations. Members of a batch (`jax.vmap` around
+    the function or inside of it, `lax.map`) are computed by vector instructions, or by the threads of a CUDA device.
+
+    JAX executes what has no scalar form (calls of libraries, large arrays, effects, random keys), and all functions on
+    other devices. `fast(f).explain(*arguments)` reports how each part is executed. One warning is issued if there is no
+    speed-up.
 
     Results have the units of the function. They equal those of the function up to round-off, except that 0 x, 0 / x and
     x - x are zero also if x is infinite or NaN, unless the backend is `tx.Native(tx.XLA(checked=True))`.

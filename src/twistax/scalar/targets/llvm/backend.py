@@ -242,7 +242,7 @@ class Native(Backend):
     """Executes functions as kernels: machine code of their scalar programs, compiled by LLVM in this process.
 
     Members of a batch run in vector lanes, or each in a thread of a CUDA device. Native
-    needs llvmlite, `pip install "twistax[native]"`. It runs calls, batches and derivatives of functions on the CPU and
+    needs llvmlite, which is installed with twistax. It runs calls, batches and derivatives of functions on the CPU and
     on CUDA devices, and steps of explicit methods, with all steps and saved rows in one kernel, and their derivatives.
     Other loops of integrators, other devices, and functions without a native form use the backend `scalars`.
 
