@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.mechanics import Drive, Link, Mechanism, SpatialInertia
-from twistax.mechanics.joints import Free, Revolute
+from twistax.mechanics import Drive, Link, Mechanism, SpatialInertia, joints
 
 pytest.importorskip("llvmlite", reason="functions of limbs are in native kernels")
 
@@ -14,7 +13,7 @@ pytest.importorskip("llvmlite", reason="functions of limbs are in native kernels
 def quadruped(*, shared: bool, limbs: int = 4, size: int = 3) -> Mechanism:
     """A free body with mirrored limbs; a Parameter in each makes them unlike."""
     r = np.random.default_rng(1)
-    links = [Link(Free("base"), _body(r, 8.0), np.eye(4))]
+    links = [Link(joints.Free("base"), _body(r, 8.0), np.eye(4))]
     bodies = [_body(r, 1.0 + k) for k in range(size)]
     for limb in range(limbs):
         side, before = (-1.0) ** limb, "base"
@@ -26,7 +25,7 @@ def quadruped(*, shared: bool, limbs: int = 4, size: int = 3) -> Mechanism:
             center = body.center_of_mass * np.array([1.0, side, 1.0])
             body = SpatialInertia(mass=mass, center_of_mass=center, inertia=body.inertia)
             drive = Drive(armature=0.02, damping=0.1) if k == 1 else Drive()
-            joint = Revolute(f"joint {limb} {k}", np.eye(3)[k % 3])
+            joint = joints.Revolute(f"joint {limb} {k}", np.eye(3)[k % 3])
             links.append(Link(joint, body, mount, parent=before, drive=drive))
             before = joint.name
     return Mechanism(links)

@@ -71,7 +71,7 @@ def _fingerprint(program: ClosedJaxpr) -> Any:
     head = tuple((name(v), v.aval) for v in (*jaxpr.constvars, *jaxpr.invars))
     body = []
     for eqn in jaxpr.eqns:
-        # Callables are the rules of a function with a derivative of its own, which `_CustomDerivative` compares.
+        # Callables are the rules of a function with a derivative of its own, which `CustomDerivative` compares.
         # Elsewhere, as in a callback, they are the operation itself.
         rules = eqn.primitive.name in ("custom_jvp_call", "custom_vjp_call")
         moved = _MOVED if eqn.primitive.name == "jit" else ()
