@@ -43,7 +43,7 @@ class Definitions:
         self._by_key: dict[Any, _Defined] = {}
         self._by_text: dict[str, _Defined] = {}
 
-    def defined(self, called: Function, call: OpaqueCall, g: ScalarGraph) -> _Defined:
+    def defined(self, called: CalledFunction, call: OpaqueCall, g: ScalarGraph) -> _Defined:
         """The function of a call. Equal functions are one.
 
         Raises:
@@ -211,7 +211,9 @@ class Statements:
         self.lines.append("}")
         return entries
 
-    def _called(self, called: Function, call: OpaqueCall, g: ScalarGraph, value: Callable[[int], str]) -> list[str]:
+    def _called(
+        self, called: CalledFunction, call: OpaqueCall, g: ScalarGraph, value: Callable[[int], str]
+    ) -> list[str]:
         """Add the call of a function; gives the names of its results."""
         function, number = self._definitions.defined(called, call, g), self._number()
         names = [f"c{number}_{k}" for k in function.read]

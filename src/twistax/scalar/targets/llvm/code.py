@@ -60,6 +60,8 @@ class Module:
         self.packed = 0
         #: Functions of the C library that are called.
         self.library: set[str] = set()
+        #: The names of the functions of repeated programs.
+        self.repeats: dict[Any, str] = {}
         #: The addresses of functions of other modules, and the code that they belong to.
         self.addresses: dict[str, int] = {}
         self.called: list[Any] = []

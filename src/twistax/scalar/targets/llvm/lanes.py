@@ -182,7 +182,7 @@ class Rows:
         return vectors
 
 
-class Columns(Rows):
+class ColumnArray(Rows):
     """Rows in memory by columns: the entries of all lanes one after the other."""
 
     def __init__(self, code: Code, array: Array, pointers: Iterable[str]) -> None:

@@ -14,7 +14,7 @@ from ....primitives.interface import PRODUCT, by_columns, flat, is_loop, kernel_
 from ....program import ScalarProgram
 from ..code import Code, Module
 from ..kernel_body import TURNING, KernelBody, Rounded, Scalars, arguments_of, by_numpy, native_form, needed_by
-from ..lanes import Array, Columns, Rows
+from ..lanes import Array, ColumnArray, Rows
 from .pieces import PieceValues, Scratch
 from .products import write_product
 from .repeats import argument_places
@@ -94,13 +94,13 @@ class Straight(KernelBody):
     def _call(self, code: Code, scratch: Scratch, memory: str, call: OpaqueCall, places: Sequence[int]) -> None:
         """Call the function of a repeated program, with its arguments and results in memory."""
         module, count = code.module, len(call.arguments[0])
-        if call.key not in module.called:
-            name = module.called[call.key] = f"repeat.{len(module.called)}"
+        if call.key not in module.repeats:
+            name = module.repeats[call.key] = f"repeat.{len(module.repeats)}"
             RepeatedBody(native_form(call.key.program), count, name).write(module)
         results = [scratch.slots[by_columns(array)[0]] for array in call.results]
         starts = [code.emit(f"getelementptr i8, ptr {memory}, i64 {8 * place}") for place in (*places, *results)]
         pointers = ", ".join(f"ptr {start}" for start in starts)
-        code.lines.append(f"call void @{module.called[call.key]}(i64 {count - 1}, {pointers})")
+        code.lines.append(f"call void @{module.repeats[call.key]}(i64 {count - 1}, {pointers})")
 
     def _zeros(self, block: tuple[int, int], entries: Sequence[int]) -> bool:
         """Whether a block of a result is zeros."""
@@ -138,7 +138,7 @@ class RepeatedBody(Straight):
         return arguments | {f"r{k}": array for k, array in enumerate(self.results)}
 
     def _moved(self, code: Code) -> dict[str, Rows]:
-        return {name: Columns(code, array, [f"%{name}"]) for name, array in self.arrays.items()}
+        return {name: ColumnArray(code, array, [f"%{name}"]) for name, array in self.arrays.items()}
 
     def _heads(self, pointer: str) -> str:
         return "".join(f", {pointer} %{name}" for name in self.arrays)
