@@ -104,7 +104,7 @@ _PANDA = CASES["aba-7"]
 
 def need_llvmlite() -> None:
     if not installed():
-        raise Absent("not run: llvmlite is not installed; pip install 'twistax[native]'")
+        raise Absent("not run: llvmlite is not installed; pip install llvmlite")
 
 
 def _build_seconds(make: Callable[[], ScalarProgram]) -> float:

@@ -338,7 +338,7 @@ class Native(Backend):
         return Emission(lambda *a: call_program(derived, *a), program, reason)
 
     def _say_missing(self) -> None:
-        say_once("tx.Native needs llvmlite: pip install 'twistax[native]'; XLA compiles these functions instead")
+        say_once("tx.Native needs llvmlite: pip install llvmlite; XLA compiles these functions instead")
 
 
 @dataclasses.dataclass(frozen=True)
