@@ -260,7 +260,7 @@ class Ground:
                 it, a `tx.view.Sphere` or a `Capsule`. A capsule touches the ground with the balls at its two ends. A
                 ball touches a height field along the normal at the point that is nearest if the ground is plane below
                 its centre. On ground with the radius of curvature rho the error of the normal's angle is of the order
-                (radius / rho)^2.
+                $(radius / rho)^2$.
         Raises: ModelError for an unknown frame, or a shape that is not supported; ShapeError for positions of another
             shape.
         """

@@ -18,10 +18,12 @@ from twistax.mechanics import ConvexPolytope, signed_distance
 from twistax.scalar.kernel_function import KernelFunction
 from twistax.scalar.primitives.interface import Limits, kernel_of
 from twistax.scalar.reader import scalarize
-from twistax.scalar.targets.llvm import kernel_body, pieces
+from twistax.scalar.targets.llvm import kernel_body
 from twistax.scalar.targets.llvm.kernel import HostKernel
-from twistax.scalar.targets.llvm.kernel_body import Straight, native_form
+from twistax.scalar.targets.llvm.kernel_body import native_form
 from twistax.scalar.targets.llvm.machine_code import Processor
+from twistax.scalar.targets.llvm.straight import pieces
+from twistax.scalar.targets.llvm.straight.body import Straight
 
 TURN = np.random.default_rng(0).normal(0.0, 0.3, (5, 5))
 
