@@ -87,9 +87,7 @@ def library() -> Library:
     try:
         processor = Processor.host()
     except ImportError as error:
-        raise ModelError(
-            "the solver needs llvmlite, which is not installed\n  fix: pip install llvmlite"
-        ) from error
+        raise ModelError("the solver needs llvmlite, which is not installed\n  fix: pip install llvmlite") from error
     text = kept_text()
     key = "core_" + hashlib.sha256((written_by(processor) + text).encode()).hexdigest()
     code = cache.kept(key)
