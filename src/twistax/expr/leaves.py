@@ -223,6 +223,8 @@ class State(Variable):
         ShapeError: a value of another shape.
         ModelError: bounds on a group, an order for a state that is not a pose, a value that is not in the group, a kind
             with another shape, an invalid unit.
+
+    Example: `g, V = tx.State("g", group=tx.SE3), tx.State("V", shape=(6,))`
     """
 
     group: Group

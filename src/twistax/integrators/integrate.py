@@ -96,6 +96,8 @@ def integrate(dynamics: Dynamics, x0: Mapping[str, Any], options: Options) -> So
             invalid times, steps or tolerances; a quantity of `tx.units` that is not a time.
         ModelError: a system that is not compiled; a method that cannot integrate the system, or has no error estimate.
         IntegrationError: the integration failed. The message names the time, the state and the likely cause.
+
+    Example: `tx.integrate(dynamics, {"x": 1.0, "v": 0.0}, t1=10.0, rtol=1e-8, u={"F": 0.5}).xs["x"]`
     """
     return integrated(dynamics, x0, options)
 

@@ -74,6 +74,8 @@ class System(Composable):
         ShapeError: a rate of the wrong shape, or inconsistent shapes inside an expression.
         OrderError: a [v; w] quantity is combined with a [w; v] quantity.
         KindError: values that must agree differ in their declared kind, frame or unit.
+
+    Example: `tx.System(rates={x: v, v: (F - k * x) / m}, outputs={"energy": 0.5 * (m * v * v + k * x * x)})`
     """
 
     noises: tuple[Noise, ...] = ()  # for pickles of earlier versions

@@ -45,6 +45,8 @@ class RKMK(ChartMethod):
 
     Source: Munthe-Kaas, High order Runge-Kutta methods on manifolds (1999); Iserles, Munthe-Kaas, Norsett, Zanna,
     Lie-group methods (2000), both for right-trivialised equations, where the Jacobian is the left one.
+
+    Example: `tx.integrate(dynamics, x0, t1=1.0, dt=0.01, method=tx.RKMK(tx.tableaus.RK4))`
     """
 
     tableau: ButcherTableau
