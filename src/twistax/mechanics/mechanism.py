@@ -134,7 +134,8 @@ class Mechanism(KinematicTree):
 
         The base of the other mechanism becomes a link of the same name. Loop constraints, motors, mimic joints and
         shapes of both are kept. Gravity is that of this mechanism. If the frame is the base, the result contains two
-        separate robots.
+        separate robots. A base has no mass: the mass of a file's root link is not attached, see `notes`. Pass it to
+        `with_inertia` of the result, by the name of the base.
 
         Args:
             other: the mechanism that is attached, such as a gripper.
