@@ -175,6 +175,34 @@ def test_attached_as_pinocchio_appends() -> None:
     near(values["M"], (M + np.triu(M, 1).T)[np.ix_(order, order)])
 
 
+def test_the_body_of_a_base_moves_once_it_is_attached(tmp_path: Path) -> None:
+    """The root link of a file, such as the palm of a hand, beside Pinocchio; and the old base of a rerooted arm."""
+    pin = pytest.importorskip("pinocchio", reason="pinocchio is not installed (extra twistax[peers])")
+    urdf = """<robot name="hand"><link name="palm"><inertial><origin xyz="0.1 0.2 0.3"/><mass value="0.4"/>
+        <inertia ixx="0.03" iyy="0.02" izz="0.04" ixy="0.001" ixz="0" iyz="0"/></inertial></link>
+        <link name="finger"><inertial><mass value="0.1"/>
+        <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+        <joint name="knuckle" type="continuous"><parent link="palm"/><child link="finger"/><axis xyz="0 1 0"/></joint>
+        </robot>"""
+    (tmp_path / "hand.urdf").write_text(urdf)
+    rng = np.random.default_rng(4)
+    hand, T = mechanics.load(tmp_path / "hand.urdf"), pose(rng)
+    text = (EXAMPLES / "panda.urdf").read_text().replace('<joint name="flange"', '<joint name="mounting"')
+    arm = pin.buildModelFromXML(text)
+    both = pin.appendModel(arm, pin.buildModelFromXML(urdf), arm.getFrameId("flange"), pin.SE3(T))
+    q, qd, data = rng.normal(size=8), rng.normal(size=8), both.createData()
+    q_of_theirs = pin.neutral(both)
+    q_of_theirs[:7], q_of_theirs[7:] = q[:7], [np.cos(q[7]), np.sin(q[7])]
+    ours = panda().attach(hand.renamed("right_"), "flange", T)
+    values = evaluated(terms(ours), {"q": q, "qd": qd})
+    near(values["b"], pin.rnea(both, data, q_of_theirs, qd, np.zeros(8)))
+    M = np.triu(pin.crba(both, data, q_of_theirs))
+    near(values["M"], M + np.triu(M, 1).T)
+    turned = hand.rerooted("finger")
+    assert turned.link("palm").body is hand.base_body
+    assert turned.base_body is None
+
+
 def test_two_mechanisms_on_one_base_keep_closures_motors_and_limits() -> None:
     arm, linkage = panda(), four_bar()
     both = arm.attach(linkage.renamed("left_"), pose=tx.pose(position=[1.0, 0.0, 0.0]))

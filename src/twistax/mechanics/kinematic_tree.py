@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..checks import listed, name_list, short
+from ..checks import instance, listed, name_list, short
 from ..errors import ModelError
 from ..expr import Constant, Control, Expr, State
 from ..expr.fields import ExprLike
@@ -50,6 +50,7 @@ class KinematicTree:
         loops: Iterable[Loop] = (),
         loop_metric: Metric = Metric(),  # noqa: B008
         shapes: Iterable[Shape] = (),
+        base_body: SpatialInertia | None = None,
     ) -> None:
         name = type(self).__name__
         try:
@@ -61,13 +62,15 @@ class KinematicTree:
         if isinstance(self.gravity, Constant) and not np.isfinite(self.gravity.value).all():
             raise ModelError(f"{name} expects gravity to be finite, got {self.gravity!r}")
         self._notes = tuple(notes)
-        self.base, self.shapes = base, shapes_of(name, shapes)
+        self.base, self.shapes, self.base_body = base, shapes_of(name, shapes), base_body
+        instance(f"{name}: base_body", base_body, SpatialInertia | None, "a SpatialInertia", ModelError)
         self.dofs = 1 + max((max(s.freedoms, default=-1) for s in self.segments), default=-1)
         self.loops, self.loop_metric = tuple(loops), loop_metric
         driven = None if driven is None else tuple(driven)
         #: The arguments of the constructor besides the links, which `replace` passes on.
         self.arguments: dict[str, Any] = {"gravity": self.gravity, "base": base, "keep": keep, "notes": self._notes}
         self.arguments |= {"driven": driven, "loops": self.loops, "loop_metric": loop_metric, "shapes": self.shapes}
+        self.arguments["base_body"] = base_body
         if driven is None:
             driven = [s.link.joint.name for s in self.segments if s.moves_by_motor]
         self.driven = tuple(driven)

@@ -55,6 +55,7 @@ class Mechanism(KinematicTree):
         driven: names of the joints with motors. By default all, except free and mimic joints, and passive joints, whose
             drive has a spring and no effort.
         shapes: shapes of the base in its frame, for `solution.show`, including fixed objects such as a table.
+        base_body: the body of the base. It has an effect only once the base moves, after `attach` or `rerooted`.
     Attributes:
         links, gravity, driven, loops, loop_metric, base, shapes: the arguments, with each link after its parent and
             gravity as an expression.
@@ -134,8 +135,7 @@ class Mechanism(KinematicTree):
 
         The base of the other mechanism becomes a link of the same name. Loop constraints, motors, mimic joints and
         shapes of both are kept. Gravity is that of this mechanism. If the frame is the base, the result contains two
-        separate robots. A base has no mass: the mass of a file's root link is not attached, see `notes`. Pass it to
-        `with_inertia` of the result, by the name of the base.
+        separate robots. Its body is `base_body`, the root link of a file.
 
         Args:
             other: the mechanism that is attached, such as a gripper.

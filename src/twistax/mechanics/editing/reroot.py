@@ -41,10 +41,10 @@ def rerooted(mechanism: KinematicTree, frame: str) -> Changes:
     if not (isinstance(top.joint, Free) or (isinstance(top.joint, Fixed) and alone)):
         # The base itself is the old root: it becomes a link, and the new base is called "world".
         old = mechanism.base
-        top = Link(Fixed(free_name("root", joints)), None, _UNIT, name=old, shapes=mechanism.shapes)
+        top = Link(Fixed(free_name("root", joints)), mechanism.base_body, _UNIT, name=old, shapes=mechanism.shapes)
         path.append(top)
         joints.add(top.joint.name)
-        changes = {"base": free_name("world", mechanism.frames), "shapes": ()}
+        changes = {"base": free_name("world", mechanism.frames), "shapes": (), "base_body": None}
         gravity = mechanism.gravity
         if not isinstance(gravity, Constant) or gravity.value.any():
             changes["notes"] = (*mechanism.arguments["notes"], f"gravity is in the axes of {path[0].name!r} now")

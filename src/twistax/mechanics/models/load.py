@@ -83,6 +83,7 @@ def load(
             driven=model.driven,
             loops=model.loops,
             shapes=model.shapes,
+            base_body=model.base_body,
         )
     except ModelError as error:
         placed = re.match(r"load|.*, line \d+, <", str(error))

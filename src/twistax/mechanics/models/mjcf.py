@@ -74,6 +74,7 @@ class Mjcf:
         if not_drawn:
             self.notes.append(f"geoms that are not drawn, meshes and planes: {not_drawn}")
         self.base, self.shapes = self._name("body", 0), self._looks[0]
+        self.base_body = None
         self.gravity = np.array(self.model.opt.gravity) * self._switched_on("GRAVITY")
         if self.model.nbody == 1:
             raise root.wrong("there is no <body>, so this is not a model of a mechanism")

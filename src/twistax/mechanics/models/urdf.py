@@ -61,8 +61,10 @@ class Urdf:
         self.links = list[Link]()
         if floating or alone:
             self.links.append(self._root(root, Free if floating else Fixed))
-        if not floating and self._body(root) is not None:
-            self.notes.append(f"the mass of {tree.root!r}, which does not move")
+        still = None if floating else self._body(root)
+        self.base_body = None if alone else still
+        if still is not None:
+            self.notes.append(f"the mass of {tree.root!r}, which has no effect while it does not move")
         for joint in tree.joints.values():
             self.links += self._links(joint, None if floating else tree.root)
         if not any(link.joint.dofs for link in self.links):
