@@ -46,7 +46,7 @@ def urdf_text(mechanism: KinematicTree, name: str, leave_out: Collection[str]) -
         losses.add("driven", "the mechanism")
     for kept in mechanism.arguments["keep"]:
         losses.add("keep", kept)
-    _add_link(robot, losses, mechanism.base, None, mechanism.shapes)
+    _add_link(robot, losses, mechanism.base, mechanism.base_body, mechanism.shapes)
     for link in mechanism.links:
         _add_link(robot, losses, link.name, link.body, link.shapes)
         _add_joint(robot, losses, link, mechanism.base if link.parent is None else link.parent)
