@@ -4,7 +4,7 @@ import os
 import pickle
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -14,6 +14,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import twistax as tx
+from twistax.scalar.targets.llvm.backend import KERNEL_EVENT
 from twistax.trajectory import Collocation, GaussNewton, Linear, Mesh, Phase, Problem, QuasiNewton
 
 pytest.importorskip("llvmlite")
@@ -178,6 +179,39 @@ def test_rows_of_other_nodes_compile_nothing(made: list[str]) -> None:
         costs.append(problem.solve(params={wanted: np.linspace(0.0, 1.0, nodes)}).cost)
     assert made == []
     assert costs[1] == pytest.approx(costs[0], rel=1e-2)
+
+
+def staged(masses: Sequence[float], durations: Sequence[float], nodes: int = 5) -> Problem:
+    """A cart whose mass changes from phase to phase moves by 1 from rest to rest with least effort."""
+    p, v, u = tx.State("p"), tx.State("v"), tx.Control("u")
+    ends = [{"initial": {p: 0.0, v: 0.0}}, *({} for _ in masses[2:]), {"final": {p: 1.0, v: 0.0}}]
+    phases = [
+        Phase(
+            tx.compile(tx.System(rates={p: v, v: u / mass})),
+            tx.Minimize(running=u * u),
+            nodes=nodes,
+            final_time=duration,
+            **end,
+        )
+        for mass, duration, end in zip(masses, durations, ends, strict=True)
+    ]
+    return Problem(phases)
+
+
+def test_phases_with_other_numbers_share_kernels(made: list[str]) -> None:
+    """The exact optimum has the smallest controls of those that reach the end, a linear system."""
+    masses, durations, kernels = [1.0, 2.5, 0.7, 1.6], [0.5, 0.8, 0.4, 0.6], list[int]()
+    for count in (2, 3, 4):  # the first solve also makes kernels that all problems share
+        made.clear()
+        result = staged(masses[:count], durations[:count]).solve()
+        kernels.append(made.count(KERNEL_EVENT))
+    assert 0 < kernels[2] == kernels[1]
+    widths, of_mass = np.repeat(durations, 4) / 4, np.repeat(masses, 4)
+    left = np.cumsum(widths[::-1])[::-1] - 0.5 * widths  # from the middle of an interval to the end
+    ends = np.stack([left, np.ones(16)]) * widths / of_mass
+    cost = np.linalg.solve(ends / widths @ ends.T, [1.0, 0.0])[0]
+    assert result.solved
+    assert result.cost == pytest.approx(cost, rel=1e-8)
 
 
 # ---- the numbers are the right ones -------------------------------------------------------------------------------

@@ -45,7 +45,8 @@ class Argument(enum.IntEnum):
     NUMBERS = 5
     WEIGHTS = 6
     ROW = 7
-    SHARED = 8
+    PHASE = 8
+    SHARED = 9
 
 
 class KernelStructure(ctypes.Structure):

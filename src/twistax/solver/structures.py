@@ -33,7 +33,7 @@ class OffsetsStructure(ctypes.Structure):
 
 
 _COUNTS = ("n", "m", "p", "point", "intervals", "substeps", "stages", "implicit", "path_rows", "nodes", "iterations")
-_ARRAYS = ("a", "b", "c", "weights", "starts", "widths", "data", "node_rows")
+_ARRAYS = ("a", "b", "c", "weights", "starts", "widths", "data", "of_phase", "node_rows")
 
 
 class PhaseStructure(ctypes.Structure):

@@ -109,6 +109,7 @@ class CorePhase:
         conditions: the same of the conditions of each node.
         join: to the next phase.
         node_rows: where in the data the numbers of the nodes begin, and how many each has.
+        of_phase: where in the data the numbers of the phase begin.
     """
 
     n: int
@@ -122,6 +123,7 @@ class CorePhase:
     conditions: Sequence[Array]
     join: JoinKernels | None = None
     node_rows: tuple[int, int] = (0, 0)
+    of_phase: int = 0
 
     @property
     def intervals(self) -> int:
@@ -353,6 +355,7 @@ class Transcription:
             parameters_v=stages.variables - parameters,
             **{name: self._array(np.asarray(a, float)) for name, a in numbers.items()},
             data=int(self.data.ctypes.data),
+            of_phase=int(self.data.ctypes.data) + 8 * phase.of_phase,
             node_rows=int(self.data.ctypes.data) + 8 * phase.node_rows[0],
             node_width=phase.node_rows[1],
             place=codes[0],

@@ -74,8 +74,9 @@ void twx_call(const twx_kernel *f, const twx_memory *t, twx_inputs in, size_t ro
   const int64_t stride = t->phase->point + t->phase->m; /* from a node to the next */
   const real *const target = in.target ? in.target : in.base ? in.base + stride : NULL;
   const real *at[TWX_ARGUMENTS] = {in.z, in.share, in.base, target, t->phase->data, f->numbers, in.weights,
-                                   t->phase->node_rows + in.stage * (size_t)t->phase->node_width, in.shared};
-  const int64_t strides[TWX_ARGUMENTS] = {(int64_t)in.width, 1, stride, stride, 0, 0, (int64_t)in.weight_width, t->phase->node_width,
+                                   t->phase->node_rows + in.stage * (size_t)t->phase->node_width, t->phase->of_phase,
+                                   in.shared};
+  const int64_t strides[TWX_ARGUMENTS] = {(int64_t)in.width, 1, stride, stride, 0, 0, (int64_t)in.weight_width, t->phase->node_width, 0,
                                           t->phase->rate.shared_width};
   int64_t table[2 * (TWX_ARGUMENTS + 1)];
   if (!f->run) {

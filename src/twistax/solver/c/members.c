@@ -23,7 +23,7 @@ static size_t copy_phases(const twx_form *form, const double *data, double *memo
     if (user) {
       twx_phase *const own = user->transcription.phase + i;
       *own = from->phase[i], own->work = memory + used, own->work[0] = 0, own->scratch = own->work + twx_phase_work(own);
-      if (form->data) own->data = data;
+      if (form->data) own->of_phase = data + (own->of_phase - own->data), own->data = data;
     }
     used += twx_phase_work(from->phase + i) + twx_phase_scratch(from->phase + i);
   }

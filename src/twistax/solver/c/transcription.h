@@ -19,9 +19,10 @@
 #include "core.h"
 
 /* What kernels read: q, or (eta, p); the share of the duration; points of nodes; numbers of the problem; numbers of the
- * kernel; weights; the numbers of a node; elementary functions that values and derivatives share. */
+ * kernel; weights; the numbers of a node; those of the phase; elementary functions that values and derivatives share. */
 typedef enum {
-  TWX_Z, TWX_SHARE, TWX_BASE, TWX_TARGET, TWX_DATA, TWX_NUMBERS, TWX_WEIGHTS, TWX_ROW, TWX_SHARED, TWX_ARGUMENTS
+  TWX_Z, TWX_SHARE, TWX_BASE, TWX_TARGET, TWX_DATA, TWX_NUMBERS, TWX_WEIGHTS, TWX_ROW, TWX_PHASE,
+  TWX_SHARED, TWX_ARGUMENTS
 } twx_argument;
 
 typedef struct { /* rows of the arrays in a table, from first to end; NULL: the result is zero */
@@ -63,6 +64,7 @@ typedef struct {
   const real *weights;        /* of the running cost, of a unit interval: of the ends of substeps, then of all stages */
   const real *starts, *widths; /* of the intervals, shares of the duration */
   const real *data;
+  const real *of_phase;       /* numbers of this phase within data: its ends and the limits of its duration */
   const real *node_rows;      /* (intervals + 1, node_width) numbers of the nodes */
   int32_t node_width;
   const int32_t *place;         /* of path rows: (intervals, substeps + 1, path_rows) */

@@ -17,7 +17,7 @@ from .kernel_code import NO_KERNEL, KernelCode, array
 from .precision import CodePrecision
 
 #: Arrays that a controller has in its own memory.
-_OWN_MEMORY = ("data", "node_rows", "work", "scratch", "cost_slopes", "steps", "join", "window")
+_OWN_MEMORY = ("data", "of_phase", "node_rows", "work", "scratch", "cost_slopes", "steps", "join", "window")
 
 #: Intervals that the core has side by side.
 LANES = constant("phase.h", "TWX_LANES")

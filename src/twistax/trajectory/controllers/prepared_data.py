@@ -101,7 +101,7 @@ class PreparedData:
         solve, border, numbers = self._solve, self._staged.border, self._staged.numbers
         for number, part, values in self._of_phases("final_time", final_time):
             limits, _ = part.other_times(values, None)
-            numbers.limits(self.numbers)[number] = limits
+            self.numbers[numbers.duration_places[number]] = limits
             if border.unknown[number]:
                 place = int(border.unknown[:number].sum()) - border.unknowns  # from the end of z and v
                 solve.lower[place], solve.upper[place] = limits

@@ -109,6 +109,7 @@ def _modes(staged: Staged, point: Iterate, instance: Instance, least: Sequence[f
             Argument.SHARE: phase.starts[:, None],
             Argument.BASE: part.point.joined(here.xs, 1)[:-1],
             Argument.DATA: data[None],
+            Argument.PHASE: data[None, staged.numbers.of_phase(segment.number)],
         }
         slopes = phase.kernels.rate.kernels[1](count, n * size, arguments).reshape(count, n, size)[:, :, :n]
         scaled = slopes * (phase.widths / phase.method.substeps)[:, None, None]

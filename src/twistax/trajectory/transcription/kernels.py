@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from numpy import ndarray as Array
 
-from ...expr import Control, Expr, Leaf, Parameter, State, Time
+from ...expr import Control, Expr, Leaf, Parameter, State, Time, leaves_of
 from ...expr.fields import freeze
 from ...expr.transformations.without_numbers import Structure
 from ...solver.kernels import Argument, SmoothKernels
@@ -75,7 +75,7 @@ class _LeafPlaces:
         self.boxes = tuple((self._places[b.leaf], b.entry, b.sign) for b in shooting.path.bounds)
         controls = tuple(part.stop - part.start for part in local.controls.slices.values())
         free = tuple(box.shape for box in border.boxes)
-        shared = (free, tuple(border.unknown[: border.phases]), shooting.phase)
+        shared = (free, tuple(border.unknown[: border.phases]))
         self.key = (group_key(shooting), controls, *shared, numbers.key, local.sign)
 
     def token(self, leaf: Leaf) -> Hashable:
@@ -99,6 +99,7 @@ class PhaseFunctions:
     def __init__(self, shooting: Shooting, numbers: Numbers, extra: ExtraHessian | None = None, order: int = 2) -> None:
         self._shooting, self._numbers, self._extra, self._order = shooting, numbers, extra, order
         self.point, self._leaf_places = point_of(shooting), _LeafPlaces(shooting, numbers)
+        self._block = numbers.of_phase(shooting.phase)
 
     def smooth(
         self,
@@ -118,14 +119,21 @@ class PhaseFunctions:
         phase, exprs, group = self._shooting, self._shooting.local.expressions, group_key(self._shooting)
         n, of_step, size = phase.n, phase.n + phase.border.unknowns, self.point.size
         fixed = {Argument.BASE: size, Argument.DATA: self._numbers.size}
+        if phase.border.phases > 1:
+            fixed[Argument.PHASE] = self._block.stop - self._block.start
         if phase.by_node.leaves:
             fixed[Argument.ROW] = phase.by_node.width
         of_q = {Argument.Z: phase.size, Argument.SHARE: 1, **fixed}
         of_node, of_end = {Argument.Z: of_step, Argument.SHARE: 1, **fixed}, {Argument.Z: of_step, **fixed}
         boxes, pace = self._leaf_places.boxes, phase.paced and (phase.paced.start, phase.paced.stop)
-        places = (tuple(phase.layout.fixed), tuple(phase.layout.end_states))
-        at_end = ("end", boxes, *places, phase.is_last and tuple(phase.border.finite))
-        end = self._of(self._end, of_end, [exprs.conditions, exprs.rows, exprs.limits, exprs.final], at_end)
+        limits = tuple(phase.border.finite) if phase.is_last else ()
+        end = self._of(
+            self._end,
+            of_end,
+            [exprs.conditions, exprs.rows, exprs.limits, exprs.final],
+            ("end", boxes, tuple(phase.layout.fixed), tuple(phase.layout.end_states), limits),
+            all_durations=bool(limits),
+        )
         rows = self._of(self._rows, of_q, [exprs.rows, exprs.limits, exprs.running], ("rows", pace, boxes))
         if (extra := self._extra) is not None:
             self._add(rows, extra.running, of_q, extra.running_parts, ("running", pace))
@@ -150,15 +158,14 @@ class PhaseFunctions:
         before, first = self._shooting, point_of(after)
 
         def gap(known: Known, params: Any, parts: Sequence[Any]) -> jax.Array:
-            start, initial = (
-                first.split(known[Argument.TARGET]),
-                self._numbers.initial(known[Argument.DATA], after.phase),
-            )
+            # The numbers of the next phase, which begin with its initial states, follow those of this phase.
+            start, initial = first.split(known[Argument.TARGET]), first.split(known[Argument.PHASE][-first.size :])
             return join.gap_at(parts[0], known[Argument.Z], self._base(known), start, initial, params)
 
         arguments = {Argument.Z: before.n + before.border.unknowns, Argument.BASE: self.point.size}
         arguments |= {Argument.TARGET: first.size, Argument.DATA: self._numbers.size}
-        rest = ("join", group_key(after), after.phase, join.key)
+        arguments |= {Argument.PHASE: self._block.stop - self._block.start + first.size}
+        rest = ("join", group_key(after), join.key)
         return JoinKernels(self._of(gap, arguments, [join.sources], rest), join.free)
 
     def _of(
@@ -168,6 +175,8 @@ class PhaseFunctions:
         parts: Sequence[Sequence[Expr]],
         rest: Hashable,
         order: int | None = None,
+        *,
+        all_durations: bool = False,
     ) -> SmoothKernels:
         """The kernels of one function.
 
@@ -175,16 +184,18 @@ class PhaseFunctions:
             parts: the expressions, in groups.
             rest: everything else that the function depends on, except for the layout.
             order: the order of the derivatives, if it differs from that of the problem.
+            all_durations: whether the function reads the durations of all phases.
         """
-        structure = Structure([expr for part in parts for expr in part], self._leaf_places.token)
+        every = [expr for part in parts for expr in part]
+        structure = Structure(every, self._leaf_places.token)
         by_node, border = self._shooting.by_node, self._shooting.border
+        of_all = all_durations or self._depends_on_place(every)
 
         def traced(*arrays: jax.Array) -> jax.Array:
             known, roots = dict(zip([*arguments, Argument.NUMBERS], arrays)), iter(structure.roots)
             params, z = self._numbers.params(known[Argument.DATA]), known[Argument.Z]
             stage, shared = jnp.split(z, [len(z) - border.unknowns])
-            shared = border.complete(shared, self._numbers.limits(known[Argument.DATA]))
-            known[Argument.Z] = jnp.concatenate([stage, shared])
+            known[Argument.Z] = jnp.concatenate([stage, self._durations(shared, known, of_all)])
             if Argument.NUMBERS in known:
                 params |= structure.params(known[Argument.NUMBERS])
             if Argument.ROW in known:
@@ -192,7 +203,8 @@ class PhaseFunctions:
             return function(known, params, [tuple(next(roots) for _ in part) for part in parts])
 
         shapes = tuple(leaf.shape for leaf in by_node.leaves.values())
-        key = (self._leaf_places.key, shapes, structure.key, tuple(map(len, parts)), rest)
+        of_phase = self._shooting.phase if of_all else None
+        key = (self._leaf_places.key, shapes, structure.key, tuple(map(len, parts)), rest, of_phase)
         return self.smooth(traced, arguments, self._order if order is None else order, key, structure.numbers)
 
     def _add(
@@ -208,7 +220,25 @@ class PhaseFunctions:
             arguments = {**arguments, Argument.WEIGHTS: kernels.rows}
             kernels.kernels += self._of(function, arguments, parts, ("squares", rest), 0).kernels
 
+    def _depends_on_place(self, exprs: Sequence[Expr]) -> bool:
+        """Whether a function depends on the number of its phase: by the place of its duration among the unknowns, or by
+        the time at which the phase starts.
+        """
+        phase, border = self._shooting, self._shooting.border
+        is_unknown = bool(border.unknown[phase.phase])
+        return border.phases == 1 or is_unknown or any(isinstance(leaf, Time) for leaf in leaves_of(*exprs))
+
     # ---- functions that are traced -----------------------------------------------------------------------------------
+
+    def _durations(self, shared: jax.Array, known: Known, of_all: bool) -> jax.Array:
+        """The durations of all phases, then the free parameters. Durations that are not read are NaN."""
+        border, phase = self._shooting.border, self._shooting.phase
+        if of_all:
+            return border.complete(shared, self._numbers.limits(known[Argument.DATA]))
+        unread = jnp.full(border.phases, jnp.nan, shared.dtype)
+        own = known[Argument.PHASE][2 * self.point.size :][:1]
+        of_free = shared[int(border.unknown[: border.phases].sum()) :]
+        return jnp.concatenate([unread[:phase], own, unread[phase + 1 :], of_free])
 
     def _base(self, known: Known) -> dict[str, jax.Array]:
         return self.point.split(known[Argument.BASE])
@@ -224,7 +254,9 @@ class PhaseFunctions:
     def _end(self, known: Known, params: Any, parts: Sequence[Any]) -> jax.Array:
         phase = self._shooting.made_of(**dict(zip(("conditions", "rows", "limits", "final"), parts, strict=True)))
         z, data, numbers = known[Argument.Z], known[Argument.DATA], self._numbers
-        instance = Instance(params, numbers.final(data, phase.phase), numbers.limits(data))
+        block = known[Argument.PHASE] if Argument.PHASE in known else data[self._block]
+        size = self.point.size
+        instance = Instance(params, self.point.split(block[size : 2 * size]), numbers.limits(data))
         return phase.end_at(z, (self._base(known), jnp.zeros(phase.border.size, z.dtype)), instance)
 
     def _node(self, conditions: Conditions) -> Traced:

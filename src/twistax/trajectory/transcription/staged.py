@@ -52,7 +52,14 @@ class Staged:
             pairs = zip(every, transcribed.joins, problems[1:])
             joins = [functions.join(join, after.shooting) for functions, join, after in pairs]
             self.parts = [
-                StagedPhase(segment, p.node_rows, functions.kernels(p.node_rows), join, self.numbers.node_rows(number))
+                StagedPhase(
+                    segment,
+                    p.node_rows,
+                    functions.kernels(p.node_rows),
+                    join,
+                    self.numbers.node_rows(number),
+                    self.numbers.of_phase(number).start,
+                )
                 for number, (segment, p, functions, join) in enumerate(
                     zip(transcribed.segments, problems, every, [*joins, None])
                 )

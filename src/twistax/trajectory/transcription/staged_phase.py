@@ -51,10 +51,11 @@ class StagedPhase:
         kernels: PhaseKernels,
         join: JoinKernels | None,
         node_rows: tuple[int, int],
+        of_phase: int,
     ) -> None:
         self.shooting, self.stages = segment.shooting, segment.nodes
         self.point, self.meter = point_of(segment.shooting), SizeMeter(segment.shooting)
-        self._conditions, self._join, self._kernels, self._node_rows = conditions, join, kernels, node_rows
+        self._conditions, self._join, self._kernels, self._places = conditions, join, kernels, (node_rows, of_phase)
         self.describe()
 
     def describe(self) -> None:
@@ -73,7 +74,7 @@ class StagedPhase:
             shooting.mesh.widths,
             *self.by_place(kinds),
             self._join,
-            self._node_rows,
+            *self._places,
         )
 
     def by_place(self, rows: Array) -> tuple[Array, list[Array]]:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
@@ -53,7 +54,8 @@ class Flat:
 
 
 class Numbers:
-    """The data of a solve as one vector: parameters, states at the ends of phases, limits of the shared unknowns.
+    """The data of a solve as one vector: parameters, then for each phase its initial and final states and the limits of
+    its duration, then the limits of free parameters.
 
     Args:
         points: a node's states, for each phase.
@@ -65,6 +67,7 @@ class Numbers:
         size: of the vector without these rows.
         names: the parameters in order.
         key: equal for vectors of the same layout.
+        duration_places: (phases, 2) the indices of the limits of durations, which are equal for a fixed duration.
     """
 
     def __init__(self, points: Sequence[Flat], instance: Instance, by_node: Sequence[Any]) -> None:
@@ -72,8 +75,10 @@ class Numbers:
         with_rows = {name for part in by_node for name in part.leaves}
         self._params = Flat({name: np.shape(value) for name, value in instance.params.items() if name not in with_rows})
         self._points, self._limits = points, np.shape(instance.limits)
-        sizes = [self._params.size, *(p.size for p in points for _ in range(2)), math.prod(self._limits)]
+        of_phases = [size for point in points for size in (point.size, point.size, 2)]
+        sizes = [self._params.size, *of_phases, math.prod(self._limits) - 2 * len(points)]
         self._ends = np.cumsum([0, *sizes]).tolist()
+        self.duration_places = np.array(self._ends[3:-1:3])[:, None] + np.arange(2)
         self.size = self._ends[-1]
         self._last: tuple[Instance | None, Array] = None, np.zeros(0)
         self.names = tuple(self._params.shapes)
@@ -88,10 +93,11 @@ class Numbers:
             instance.final if isinstance(instance.final, PhaseEnds) else PhaseEnds((instance.final,), (instance.final,))
         )
         parts = [self._params.joined(instance.params)]
-        for point, initial, final in zip(self._points, ends.initial, ends.final):
-            parts += [point.joined(initial), point.joined(final)]
+        durations, of_free = np.split(np.asarray(instance.limits), [len(self._points)])
+        for point, initial, final, limits in zip(self._points, ends.initial, ends.final, durations):
+            parts += [point.joined(initial), point.joined(final), limits]
         rows = [part.rows(instance.params).ravel() for part in self._by_node]
-        vector = np.concatenate([*parts, np.ravel(instance.limits), *rows])
+        vector = np.concatenate([*parts, of_free.ravel(), *rows])
         vector.flags.writeable = False
         self._last = instance, vector
         return vector
@@ -104,31 +110,36 @@ class Numbers:
     def places(self, params: Iterable[str], final: Iterable[str], phase: int = -1) -> Array:
         """The index ranges of the parameters, and of the final states of a phase, by default the last one."""
         number = phase % len(self._points)
-        of_final = [self._ends[2 + 2 * number] + self._points[number].places(name) for name in final]
+        of_final = [self._ends[2 + 3 * number] + self._points[number].places(name) for name in final]
         return np.concatenate([np.zeros(0, int), *map(self._params.places, params), *of_final])
 
     def params(self, vector: Any) -> dict[str, Any]:
         return self._params.split(self._part(vector, 0))
 
-    def initial(self, vector: Any, phase: int) -> dict[str, Any]:
-        return self._points[phase].split(self._part(vector, 1 + 2 * phase))
+    def of_phase(self, phase: int) -> slice:
+        """The numbers of a phase: its initial and final states, then the limits of its duration."""
+        return slice(self._ends[1 + 3 * phase], self._ends[4 + 3 * phase])
 
     def final(self, vector: Any, phase: int) -> dict[str, Any]:
-        return self._points[phase].split(self._part(vector, 2 + 2 * phase))
+        return self._points[phase].split(self._part(vector, 2 + 3 * phase))
 
     def limits(self, vector: Any) -> Any:
-        return self._part(vector, len(self._ends) - 2).reshape(self._limits)
+        """(g, 2) the limits of the shared unknowns."""
+        xp = np if isinstance(vector, Array) else jnp
+        parts = [self._part(vector, k) for k in (*range(3, len(self._ends) - 1, 3), len(self._ends) - 2)]
+        return xp.concatenate(parts).reshape(self._limits)
 
     def at_times(self, vector: Array, border: Array) -> Array:
         """The numbers of a solve with other fixed durations, taken from the shared unknowns."""
         vector = vector.copy()
-        self.limits(vector)[:] = np.reshape(border, (-1, 1))
+        vector[self.duration_places] = np.reshape(border, (-1, 1))[: len(self._points)]
         return vector
 
     @property
     def final_time(self) -> Array:
         """The index of the fixed duration of a problem of one phase, which is stored as both limits."""
-        return self._ends[-2] + np.arange(2)
+        places: Array = self.duration_places[0]
+        return places
 
     def _part(self, vector: Any, k: int) -> Any:
         return vector[self._ends[k] : self._ends[k + 1]]
