@@ -373,12 +373,9 @@ class Transcription:
         if join is None:
             return None
         turn = self.phases[number + 1].kernels.turn
-        structure = JoinStructure(
-            join.gap.structure,
-            KernelStructure() if turn is None else turn.structure,
-            len(join.free),
-            self._array(np.asarray(join.free, np.int32)),
-        )
+        turned = KernelStructure() if turn is None else turn.structure
+        free = self._array(np.asarray(join.free, np.int32))
+        structure = JoinStructure(join.gap.structure, turned, len(join.free), free)
         self._memory.append(structure)
         return ctypes.addressof(structure)
 

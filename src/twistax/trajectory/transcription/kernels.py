@@ -236,9 +236,9 @@ class PhaseFunctions:
         if of_all:
             return border.complete(shared, self._numbers.limits(known[Argument.DATA]))
         unread = jnp.full(border.phases, jnp.nan, shared.dtype)
-        own = known[Argument.PHASE][2 * self.point.size :][:1]
+        duration = known[Argument.PHASE][2 * self.point.size :][:1]
         of_free = shared[int(border.unknown[: border.phases].sum()) :]
-        return jnp.concatenate([unread[:phase], own, unread[phase + 1 :], of_free])
+        return jnp.concatenate([unread[:phase], duration, unread[phase + 1 :], of_free])
 
     def _base(self, known: Known) -> dict[str, jax.Array]:
         return self.point.split(known[Argument.BASE])
