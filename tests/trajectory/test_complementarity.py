@@ -55,7 +55,7 @@ def test_without_controls_it_is_the_time_stepping_of_a_block_that_falls_and_slid
         px, pz = px + h * pv, pz + h * pw
         there = [result.xs[name][k + 1] for name in ("x", "v", "z", "vz")]
         np.testing.assert_allclose(there, [px, pv, pz, pw], atol=2e-4)
-    assert min(result.complementarity.values()) < 1e-9  # the slip that does not occur
+    assert min(result.complementarity.values()) < 1e-7  # the slip that does not occur
     assert result.solved
     assert abs(pv) < 1e-12
     assert max(result.complementarity.values()) < 1e-4
@@ -64,6 +64,7 @@ def test_without_controls_it_is_the_time_stepping_of_a_block_that_falls_and_slid
 def test_a_hop_has_a_gap_or_a_force() -> None:
     result = hop()
     assert result.solved, result.message
+    assert result.iterations < 600  # at rest at the end, the gap of a node has no interior
     gap, force = result.xs["z"][1:], result.us["N"]
     assert (gap * force).max() <= 1e-4
     assert gap.min() > -1e-6
