@@ -127,9 +127,18 @@ def test_what_the_data_do_not_determine_is_named_and_has_no_number(real: Mechani
     assert {"j1.damping", "j1.friction"} <= set(result.undetermined) <= set(full.names)
     assert len(result.names) + len(result.undetermined) == full.rank
     near(result.values, truth(real, result, ["damping", "friction"]), 1e-7)
-    for name in ("j1.damping", "j0.mass", "j2.mass"):
-        with pytest.raises(InputError, match="do not determine"):
+    for name, match in (
+        ("j1.damping", "the data do not determine j1.damping"),
+        ("j0.mass", "no joint force depends on j0.mass; `without_effect`"),
+        ("j1.mz", r"no motion determines j1.mz: .* within 'j1.mz \+ 0.3 j2.mass'.\n  fix: .*links=\['j1'\]"),
+    ):
+        with pytest.raises(InputError, match=match):
             result.estimate(name)
+    listed = " ".join([*result.inseparable, *result.without_effect, *result.undetermined])
+    for name in result.parameters:  # each without an estimate is in a list
+        if name not in listed:
+            result.estimate(name)
+    assert {"j1.mx", "j1.mz", "j2.Izz"} <= set(result.inseparable)
     # Noise in the measured motion of a joint at rest is no excitation.
     rough = {
         **at_rest,
@@ -141,6 +150,25 @@ def test_what_the_data_do_not_determine_is_named_and_has_no_number(real: Mechani
     few = identify(guess(real), {name: value[:2] for name, value in at_rest.items()}, noise=1e-3)
     assert len(few.names) <= 6
     assert len(few.names) + len(few.undetermined) == mechanics.base_parameters(real, drives=[]).rank
+
+
+def test_a_parameter_that_acts_only_in_a_sum_has_a_remedy_that_helps(
+    real: Mechanism, data: dict[str, np.ndarray]
+) -> None:
+    result = identify(guess(real), data, drives=["armature", "damping", "friction"], noise=1e-3)
+    assert {"j0.armature", "j0.Izz"} <= set(result.inseparable)
+    with pytest.raises(InputError) as raised:
+        result.estimate("j0.armature")
+    (within,) = [name for name in result.names if "j0.armature" in name]
+    text = str(raised.value)
+    assert "no motion determines j0.armature" in text
+    assert repr(within) in text
+    assert result.estimate(within)[0] > 0.0
+    # The other remedy of the message, with the true bodies as known.
+    assert "identify(..., links=[], drives=['armature'])" in text
+    known = identify(real, data, links=[], drives=["armature"], noise=1e-3)
+    assert known.inseparable == ()
+    assert abs(known.estimate("j0.armature")[0]) < 1e-8
 
 
 def test_the_measure_has_no_unit(real: Mechanism) -> None:

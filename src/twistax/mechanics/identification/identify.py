@@ -202,7 +202,7 @@ class _Task:
             C,
             names,
             tuple(self.base.names[i] for i in solution.left),
-            self.base.without_effect,
+            self.base,
             sigma,
             residuals,
             misfit,
