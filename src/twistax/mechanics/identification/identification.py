@@ -143,7 +143,8 @@ class Identification:
         within = _containing(C, wanted, self.base.names)
         if not within:
             return f"no joint force depends on {name}; `without_effect` lists all such parameters"
-        text = f"no motion determines {name}: joint forces depend on it only within {listed(within)}.\n  fix: estimate that"
+        cause = f"no motion determines {name}: joint forces depend on it only within {listed(within)}"
+        fix = "estimate such a combination"
         # The links and the kinds of drives that it contains remain unknown.
         parts = [part.rpartition(".") for part in self.parameters]
         chosen = [parts[i] for i in np.flatnonzero(wanted)]
@@ -151,8 +152,8 @@ class Identification:
         drives = list(dict.fromkeys(kind for _, _, kind in chosen if kind in DRIVE))
         left = [kind in drives if kind in DRIVE else owner in links for owner, _, kind in parts]
         if not all(left) and _weights(C[:, left], wanted[left]) is not None:
-            text += f", or take the other parameters as known: identify(..., links={links}, drives={drives})"
-        return text
+            fix += f", or take the other parameters as known: identify(..., links={links}, drives={drives})"
+        return f"{cause}.\n  fix: {fix}"
 
     def __str__(self) -> str:
         lines = [f"{self.status.name}: {len(self.names)} combinations determined, misfit {self.misfit:.3g}"]
