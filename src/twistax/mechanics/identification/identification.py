@@ -171,7 +171,7 @@ def _weights(C: Array, wanted: Array) -> Array | None:
     """The coefficients (r,) of the rows of C (r, p) in a combination (p,); None if it is not a sum of them."""
     length = np.linalg.norm(C, axis=0)
     size = np.where(length > 0.0, 1.0 / np.where(length > 0.0, length, 1.0), 1.0)
-    weights = np.linalg.lstsq((C * size).T, wanted * size, rcond=None)[0]
+    weights: Array = np.linalg.lstsq((C * size).T, wanted * size, rcond=None)[0].astype(np.float64)
     return None if np.abs(weights @ C - wanted).max() > _EQUAL * np.abs(wanted).max() else weights
 
 
