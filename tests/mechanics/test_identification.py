@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from joints_of_every_kind import free_tree, mimicking_tree
 from mechanics_oracles import Cloud, body_of
+from scipy.spatial.transform import Rotation
 from test_editing import inputs, near, random_state
 
 import twistax as tx
@@ -167,6 +168,49 @@ def test_every_vector_is_a_body() -> None:
         assert large < small + middle + 1e-9 * large
 
 
+def test_ten_numbers_and_their_derivatives_as_pinocchio_has_them() -> None:
+    pin = pytest.importorskip("pinocchio", reason="pinocchio is not installed (extra twistax[peers])")
+    x, rng = tx.Parameter("x", (10,)), np.random.default_rng(5)
+    free = Mechanism([Link(joints.Free("root"), mechanics.physical_inertia(x), np.eye(4))])
+    theta = tx.lower(mechanics.inverse_dynamics_regressor(free, qdd=np.zeros(6)).parameters)
+
+    @jax.jit
+    @jax.vmap
+    def of(value: Any) -> Any:
+        return theta(0.0, {}, params={"x": value})
+
+    forward, reverse = (
+        jax.jit(jax.vmap(slope(lambda value: of(value[None])[0]))) for slope in (jax.jacfwd, jax.jacrev)
+    )
+    values, h = 2.0 * rng.normal(size=(20, 10)), 1e-5 * np.eye(10)
+    table = zip(values, of(values), forward(values), reverse(values), strict=True)
+    for value, parameters, columns, rows in table:
+        numbers = pin.LogCholeskyParameters(value)
+        body, J = pin.Inertia.FromLogCholeskyParameters(numbers), numbers.calculateJacobian()
+        near(parameters, body.toDynamicParameters(), 1e-14)
+        near(columns, J, 1e-14)
+        near(rows, J, 1e-14)
+        near((of(value + h) - of(value - h)).T / 2e-5, J, 1e-8)
+        assert np.linalg.eigvalsh(pin.PseudoInertia.FromInertia(body).toMatrix())[0] > 0.0
+
+
+@pytest.mark.parametrize("mass", [1e-9, 1e6, 1e24])  # a dust grain, a ship, a planet
+@pytest.mark.parametrize("length", [1e-4, 1e3])
+def test_extreme_masses_there_and_back(mass: float, length: float) -> None:
+    cloud = Cloud.random(np.random.default_rng(6), 7)
+    unit = {name: np.asarray(evaluated(getattr(body_of(cloud), name))) for name in ("center_of_mass", "inertia")}
+    body = SpatialInertia(
+        mass=mass, center_of_mass=length * unit["center_of_mass"], inertia=mass * length**2 * unit["inertia"]
+    )
+    value = mechanics.log_cholesky(body)
+    x = tx.Parameter("x", (10,), value=value)
+    for numbers in (value, x):
+        near(mechanics.log_cholesky(mechanics.physical_inertia(numbers)), value, 1e-14)
+    inertia = tx.lower(mechanics.physical_inertia(x).inertia)(0.0, {}, params={"x": value.astype(np.float32)})
+    assert inertia.dtype == np.float32
+    near(inertia / (mass * length**2), unit["inertia"], 5e-6)
+
+
 def test_a_payload_is_found_by_its_ten_numbers() -> None:
     # Gauss and Newton from a ball to the payload, through the forces of a motion.
     true = body_of(Cloud.random(np.random.default_rng(2), 6))
@@ -197,9 +241,11 @@ def test_a_payload_is_found_by_its_ten_numbers() -> None:
 
 
 def test_what_has_no_ten_numbers() -> None:
-    flat = SpatialInertia(mass=1.0, inertia=np.diag([1.0, 1.0, 2.0]))
-    with pytest.raises(ModelError, match="a body that is not flat"):
-        mechanics.log_cholesky(flat)
+    tilt = Rotation.from_rotvec([0.3, 0.4, 0.5]).as_matrix()
+    foil = tilt @ np.diag([1.0, 1.0, 2.0 - 1e-16]) @ tilt.T  # flat up to round-off
+    for tensor in (np.diag([1.0, 1.0, 2.0]), 0.5 * (foil + foil.T)):
+        with pytest.raises(ModelError, match="a body that is not flat"):
+            mechanics.log_cholesky(SpatialInertia(mass=1.0, inertia=tensor))
     with pytest.raises(ModelError, match="expects numbers as mass"):
         mechanics.log_cholesky(SpatialInertia(mass=tx.Parameter("m"), inertia=np.eye(3)))
     with pytest.raises(ShapeError, match=r"shape \(10,\)"):

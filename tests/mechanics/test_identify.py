@@ -127,9 +127,18 @@ def test_what_the_data_do_not_determine_is_named_and_has_no_number(real: Mechani
     assert {"j1.damping", "j1.friction"} <= set(result.undetermined) <= set(full.names)
     assert len(result.names) + len(result.undetermined) == full.rank
     near(result.values, truth(real, result, ["damping", "friction"]), 1e-7)
-    for name in ("j1.damping", "j0.mass", "j2.mass"):
-        with pytest.raises(InputError, match="do not determine"):
+    for name, match in (
+        ("j1.damping", r"do not determine j1.damping. No combination contains it\.\n  fix: record"),
+        ("j0.mass", "no joint force depends on j0.mass; `without_effect`"),
+        ("j1.mz", r"no motion determines j1.mz: .* within 'j1.mz \+ 0.3 j2.mass'.\n  fix: .*links=\['j1'\]"),
+    ):
+        with pytest.raises(InputError, match=match):
             result.estimate(name)
+    listed = " ".join([*result.inseparable, *result.without_effect, *result.undetermined])
+    for name in result.parameters:  # each without an estimate is in a list
+        if name not in listed:
+            result.estimate(name)
+    assert {"j1.mx", "j1.mz", "j2.Izz"} <= set(result.inseparable)
     # Noise in the measured motion of a joint at rest is no excitation.
     rough = {
         **at_rest,
@@ -143,6 +152,25 @@ def test_what_the_data_do_not_determine_is_named_and_has_no_number(real: Mechani
     assert len(few.names) + len(few.undetermined) == mechanics.base_parameters(real, drives=[]).rank
 
 
+def test_a_parameter_that_acts_only_in_a_sum_has_a_remedy_that_helps(
+    real: Mechanism, data: dict[str, np.ndarray]
+) -> None:
+    result = identify(guess(real), data, drives=["armature", "damping", "friction"], noise=1e-3)
+    assert {"j0.armature", "j0.Izz"} <= set(result.inseparable)
+    with pytest.raises(InputError) as raised:
+        result.estimate("j0.armature")
+    (within,) = [name for name in result.names if "j0.armature" in name]
+    text = str(raised.value)
+    assert "no motion determines j0.armature" in text
+    assert repr(within) in text
+    assert result.estimate(within)[0] > 0.0
+    # The other remedy of the message, with the true bodies as known.
+    assert "identify(..., links=[], drives=['armature'])" in text
+    known = identify(real, data, links=[], drives=["armature"], noise=1e-3)
+    assert known.inseparable == ()
+    assert abs(known.estimate("j0.armature")[0]) < 1e-8
+
+
 def test_the_measure_has_no_unit(real: Mechanism) -> None:
     # The same arm in grams and in millimetres, of which the forces are measured as well.
     names = list[tuple[str, ...]]()
@@ -153,9 +181,6 @@ def test_the_measure_has_no_unit(real: Mechanism) -> None:
         assert result.undetermined
         names.append(tuple(name.split(" ")[0] for name in result.names))
     assert len(set(names)) == 1
-    lost = result.parameters[int(np.argmin(np.abs(result.combinations).sum(axis=0)))]
-    with pytest.raises(InputError, match=r"No combination contains it\.\n  fix: "):
-        result.estimate(lost)
 
 
 def test_residuals_that_are_no_noise_are_a_misfit(real: Mechanism, data: dict[str, np.ndarray]) -> None:
@@ -166,6 +191,22 @@ def test_residuals_that_are_no_noise_are_a_misfit(real: Mechanism, data: dict[st
     assert full.status is IdentificationStatus.IDENTIFIED
     near(full.noise, np.array([0.02, 0.05, 0.01]), 0.15)
     assert np.abs((full.values - truth(real, full, ["damping", "friction"])) / full.standard_deviations).max() < 4.0
+
+
+def test_friction_by_the_sign_of_the_velocity(real: Mechanism, data: dict[str, np.ndarray]) -> None:
+    # The law of `Drive` is smooth; a small friction_speed makes it the sign of the velocity.
+    difference = 0.3 * (np.sign(data["qd"]) - np.tanh(data["qd"] / 0.2))
+    sliding = noisy({**data, "tau": data["tau"] + difference}, 0.02)
+    by_speed = {}
+    for speed in (0.2, 1e-6):
+        drives = {name: dataclasses.replace(real.link(name).drive, friction_speed=speed) for name in real.joints}
+        by_speed[speed] = identify(
+            guess(real.replace(drives=drives)), sliding, drives=["damping", "friction"], noise=0.02
+        )
+    assert by_speed[0.2].status is IdentificationStatus.MISFIT
+    assert by_speed[1e-6].status is IdentificationStatus.IDENTIFIED
+    value, deviation = by_speed[1e-6].estimate("j1.friction")
+    assert abs(value - 0.3) < 4.0 * deviation
 
 
 def test_a_physical_fit(real: Mechanism, data: dict[str, np.ndarray]) -> None:

@@ -44,12 +44,13 @@ def test_rates_of_a_series() -> None:
 def test_it_is_within_limits_and_as_good_as_it_says() -> None:
     robot, period, mass, length = arm(), 2.0, 2.0, 0.3
     problem = tx.trajectory.exciting_problem(robot, period=period, harmonics=3, noise=NOISE, size=(mass, length))
-    result = problem.solve(max_iterations=50, strategies=())
+    result = problem.solve(max_iterations=50, strategies=(), between=1e-4)
     assert result.cost < problem.params["logarithm of the deviation"] - 0.05
-    motion = with_torques(robot, result.params["coefficients"], period, 30)
+    motion = with_torques(robot, result.params["coefficients"], period, 900)  # also between nodes
     for value, low, high in (("q", -1.0, 1.5), ("qd", -4.0, 4.0), ("tau", -40.0, 40.0)):
-        assert low - 1e-4 <= motion[value].min()
-        assert motion[value].max() <= high + 1e-4
+        assert low - 1e-3 <= motion[value].min()
+        assert motion[value].max() <= high + (1e-2 if value == "tau" else 1e-3)
+    motion = {name: record[::30] for name, record in motion.items()}
     np.testing.assert_allclose(motion["qd"][0], 0.0, atol=1e-5)
     np.testing.assert_allclose(motion["qdd"][0], 0.0, atol=1e-4)
     # The covariance of `identify`, in parts of the sizes of its parameters.

@@ -6,11 +6,13 @@ import dataclasses
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..checks import listed, short
 from ..errors import ModelError, ShapeError
-from ..expr import Constant, Expr, to_expr
+from ..expr import Constant, Expr, Parameter, canonicalize_all, to_expr
 from ..expr.fields import ExprLike
+from ..expr.graph import leaves_of, substitute
 from ..expr.lie.base import check_element
 from ..expr.transformations.rate import changing
 from ..units import Quantity, same_unit
@@ -47,6 +49,18 @@ def finite(owner: str, name: str, value: Expr) -> Expr:
     if isinstance(value, Constant) and not np.isfinite(value.value).all():
         raise ModelError(f"{owner} expects {name} to be finite, got {short(value)}")
     return value
+
+
+def known_value(value: ExprLike) -> NDArray[np.float64] | None:
+    """The numbers of an expression, with the default values of Parameters; None if they are not known or not finite."""
+    expr = to_expr(value)
+    known: dict[str, Expr] = {
+        leaf.key(): Constant(np.asarray(leaf.value, dtype=np.float64))
+        for leaf in leaves_of(expr)
+        if isinstance(leaf, Parameter) and leaf.value is not None
+    }
+    (constant,) = canonicalize_all([substitute(expr, known)])
+    return np.asarray(constant.value, dtype=np.float64) if isinstance(constant, Constant) else None
 
 
 def of_kind(owner: str, name: str, value: object, kind: type) -> None:

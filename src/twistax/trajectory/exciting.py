@@ -59,7 +59,7 @@ def exciting_problem(
     the logarithm of the root mean square of the r standard deviations. The standard deviations are the Cramer-Rao bound
     of one sample; for N samples they are smaller by the factor $1 / sqrt(N)$. The sum of the inverse eigenvalues of F
     is at least the inverse of the smallest eigenvalue, and at most r times that. Limits of position, speed and motors
-    hold at the nodes.
+    hold at the nodes; `solve(between=1e-3)` also imposes them between nodes.
 
     The unknowns are the Parameter "coefficients" (n, 2 N + 1). The guess is the best of 20 random motions. Optima are
     local, and second derivatives are quasi-Newton approximations: a hundred iterations achieve most of the improvement.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import enum
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from ...checks import listed, number, short
 from ...errors import InputError
 from ..mechanism import Mechanism
-from .base_parameters import sum_of
+from .base_parameters import BaseParameters, sum_of
+from .regressor import BODY, DRIVE
 
 Array = NDArray[np.float64]
 #: The probability below which residuals or a physical fit are not explained by noise.
@@ -55,7 +56,7 @@ class Identification:
         parameters: names of the p unknown parameters.
         undetermined: base parameters that the data do not determine: the combinations above hold for any values of
             these.
-        without_effect: parameters that no joint force depends on.
+        base: the combinations that joint forces depend on, for any motion.
         noise: (n,), the standard deviation of the forces, N or N m.
         residuals: (samples, n), N or N m: measured less fitted forces.
         misfit: the mean square of the residuals in units of the noise, per degree of freedom: about 1 for a complete
@@ -73,7 +74,7 @@ class Identification:
     combinations: Array
     parameters: tuple[str, ...]
     undetermined: tuple[str, ...]
-    without_effect: tuple[str, ...]
+    base: BaseParameters
     noise: Array
     residuals: Array
     misfit: float
@@ -85,6 +86,23 @@ class Identification:
     def standard_deviations(self) -> Array:
         """The standard deviations of `values`, (r,)."""
         return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def without_effect(self) -> tuple[str, ...]:
+        """Names of parameters that no joint force depends on."""
+        return self.base.without_effect
+
+    @property
+    def inseparable(self) -> tuple[str, ...]:
+        """Names of parameters that the data determine only within a combination of `names`. Each parameter without an
+        estimate is in this list, in `without_effect`, or in a combination of `undetermined`.
+        """
+        C, units = self.combinations, np.eye(len(self.parameters))
+        return tuple(
+            name
+            for name, column, unit in zip(self.parameters, C.T, units, strict=True)
+            if column.any() and _weights(C, unit) is None
+        )
 
     def estimate(self, combination: str | Mapping[str, float]) -> tuple[float, float]:
         """The value of a parameter, or of a sum of parameters, and its standard deviation, in its unit.
@@ -106,29 +124,60 @@ class Identification:
                 raise InputError(f"estimate: there is no parameter {name!r}; there are {listed(self.parameters, name)}")
             number(f"estimate: the coefficient of {name!r}", coefficient)
             wanted[self.parameters.index(name)] = coefficient
-        C = self.combinations
-        length = np.linalg.norm(C, axis=0)
-        size = np.where(length > 0.0, 1.0 / np.where(length > 0.0, length, 1.0), 1.0)
-        weights = np.linalg.lstsq((C * size).T, wanted * size, rcond=None)[0]
-        if np.abs(weights @ C - wanted).max() > _EQUAL * np.abs(wanted).max():
-            among = [name for name, row in zip(self.names, C, strict=True) if np.any(row[wanted != 0.0])]
-            within = f"They determine it only within {listed(among)}" if among else "No combination contains it"
-            raise InputError(
-                f"estimate: the data do not determine {_sum(parts)}. {within}.\n"
-                "  fix: record motions that depend on it more, as of tx.trajectory.exciting_problem; `undetermined` "
-                "and `without_effect` list all such parameters"
-            )
+        weights = _weights(self.combinations, wanted)
+        if weights is None:
+            raise InputError(f"estimate: {self._obstacle(wanted, _sum(parts))}")
         return float(weights @ self.values), float(np.sqrt(weights @ self.covariance @ weights))
+
+    def _obstacle(self, wanted: Array, name: str) -> str:
+        """Why a combination has no estimate, and what helps: other motions, or fewer unknown parameters."""
+        C = self.base.combinations
+        if _weights(C, wanted) is not None:
+            within = _containing(self.combinations, wanted, self.names)
+            where = f"They determine it only within {listed(within)}" if within else "No combination contains it"
+            return (
+                f"the data do not determine {name}. {where}.\n"
+                "  fix: record motions that depend on it more, as of tx.trajectory.exciting_problem; `undetermined` "
+                "and `inseparable` list all such parameters"
+            )
+        within = _containing(C, wanted, self.base.names)
+        if not within:
+            return f"no joint force depends on {name}; `without_effect` lists all such parameters"
+        cause = f"no motion determines {name}: joint forces depend on it only within {listed(within)}"
+        fix = "estimate such a combination"
+        # The links and the kinds of drives that it contains remain unknown.
+        parts = [part.rpartition(".") for part in self.parameters]
+        chosen = [parts[i] for i in np.flatnonzero(wanted)]
+        links = list(dict.fromkeys(owner for owner, _, kind in chosen if kind in BODY))
+        drives = list(dict.fromkeys(kind for _, _, kind in chosen if kind in DRIVE))
+        left = [kind in drives if kind in DRIVE else owner in links for owner, _, kind in parts]
+        if not all(left) and _weights(C[:, left], wanted[left]) is not None:
+            fix += f", or take the other parameters as known: identify(..., links={links}, drives={drives})"
+        return f"{cause}.\n  fix: {fix}"
 
     def __str__(self) -> str:
         lines = [f"{self.status.name}: {len(self.names)} combinations determined, misfit {self.misfit:.3g}"]
         width = max((len(name) for name in self.names), default=0)
         for name, value, deviation in zip(self.names, self.values, self.standard_deviations, strict=True):
             lines.append(f"  {name:<{width}}  {value: .5g} +- {deviation:.2g}")
-        for title, names in (("not determined", self.undetermined), ("without effect", self.without_effect)):
+        lists = ("not determined", self.undetermined), ("without effect", self.without_effect)
+        for title, names in (*lists, ("only within a combination", self.inseparable)):
             if names:
                 lines.append(f"  {title}: {', '.join(names)}")
         return "\n".join(lines)
+
+
+def _weights(C: Array, wanted: Array) -> Array | None:
+    """The coefficients (r,) of the rows of C (r, p) in a combination (p,); None if it is not a sum of them."""
+    length = np.linalg.norm(C, axis=0)
+    size = np.where(length > 0.0, 1.0 / np.where(length > 0.0, length, 1.0), 1.0)
+    weights: Array = np.linalg.lstsq((C * size).T, wanted * size, rcond=None)[0].astype(np.float64)
+    return None if np.abs(weights @ C - wanted).max() > _EQUAL * np.abs(wanted).max() else weights
+
+
+def _containing(C: Array, wanted: Array, names: Sequence[str]) -> list[str]:
+    """The names of the rows of C that contain a parameter of a combination."""
+    return [name for name, row in zip(names, C, strict=True) if np.any(row[wanted != 0.0])]
 
 
 def _sum(parts: Mapping[str, float]) -> str:

@@ -66,7 +66,10 @@ def identify(
             the status can distinguish noise from model errors.
         links: links with unknown bodies, by the name of the link or joint, each with all that is fixed to it; by
             default all links with a body.
-        drives: kinds of drive parameters that are unknown, for all joints: "armature", "damping", "friction".
+        drives: kinds of drive parameters that are unknown, for all joints: "armature", "damping", "friction". The law
+            of dry friction is $friction tanh(v / speed)$ with the `friction_speed` of each `Drive`, which is known. For
+            friction by the sign of the velocity, set a `friction_speed` below all measured velocities, and omit samples
+            at rest, where this law has no value.
         noise: standard deviation of tau, () or (n,), N or N m. By default it is estimated for each degree of freedom,
             together with the weights.
         physical: whether to fit physical parameters too: bodies in log-Cholesky form, and non-negative drive
@@ -202,7 +205,7 @@ class _Task:
             C,
             names,
             tuple(self.base.names[i] for i in solution.left),
-            self.base.without_effect,
+            self.base,
             sigma,
             residuals,
             misfit,

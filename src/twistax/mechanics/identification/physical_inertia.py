@@ -19,12 +19,14 @@ from numpy.typing import NDArray
 
 from ...checks import short
 from ...errors import ModelError
-from ...expr import Concat, Constant, Exp, Expr, Stack, to_expr
+from ...expr import Concat, Constant, Exp, Expr, Stack
 from ...expr.fields import ExprLike
-from ..arguments import of_kind, of_shape
+from ..arguments import known_value, of_kind, of_shape
 from ..bodies import SpatialInertia
 
 _ZERO = Constant(0.0)
+#: Second moments below this fraction of the largest one are round-off of the inertia.
+_ROUND_OFF = 8.0 * np.finfo(float).eps
 
 
 def physical_inertia(parameters: ExprLike) -> SpatialInertia:
@@ -72,7 +74,7 @@ def log_cholesky(body: SpatialInertia) -> NDArray[np.float64]:
     mass, center, tensor = (_number(name, getattr(body, name)) for name in ("mass", "center_of_mass", "inertia"))
     second = 0.5 * np.trace(tensor) * np.eye(3) - tensor
     moments = np.linalg.eigvalsh(second)
-    if not (mass > 0.0 and moments[0] > 0.0):
+    if not (mass > 0.0 and moments[0] > _ROUND_OFF * moments[2]):
         raise ModelError(
             "log_cholesky expects a body that is not flat: each principal moment must be below the sum of "
             f"the other two, got {float(mass)} kg and {np.linalg.eigvalsh(tensor).tolist()} kg m2.\n"
@@ -85,7 +87,7 @@ def log_cholesky(body: SpatialInertia) -> NDArray[np.float64]:
 
 
 def _number(name: str, value: ExprLike) -> NDArray[np.float64]:
-    known = getattr(to_expr(value), "value", None)
+    known = known_value(value)
     if known is None:
         raise ModelError(f"log_cholesky expects numbers as {name}, got {short(value)}")
-    return np.asarray(known, dtype=np.float64)
+    return known

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from ...checks import instance, listed, name_list, short
 from ...errors import ModelError
-from ...expr import Constant, Expr, Parameter, canonicalize_all, to_expr
+from ...expr import Constant, to_expr
 from ...expr.fields import ExprLike
-from ...expr.graph import leaves_of, substitute
+from ...expr.graph import leaves_of
+from ..arguments import known_value
 from ..drives import Drive
 from ..kinematic_tree import KinematicTree
 from ..tree import Link
@@ -64,17 +65,13 @@ class Losses:
 
     def value(self, what: str, value: ExprLike) -> NDArray[np.float64]:
         """The numbers of an expression, with the default values of Parameters. Raises ModelError if there are none."""
-        expr = to_expr(value)
-        known: dict[str, Expr] = {}
-        for leaf in leaves_of(expr):
-            if isinstance(leaf, Parameter) and leaf.value is not None:
-                known[leaf.key()] = Constant(np.asarray(leaf.value, dtype=np.float64))
-            elif not isinstance(leaf, Constant):
+        known = known_value(value)
+        if known is None:
+            leaves = (leaf for leaf in leaves_of(to_expr(value)) if not isinstance(leaf, Constant))
+            if leaf := next((leaf for leaf in leaves if getattr(leaf, "value", None) is None), None):
                 raise ModelError(f"{self.owner}: {what} is {short(value)}, and {leaf!r} has no value")
-        (constant,) = canonicalize_all([substitute(expr, known)])
-        if not isinstance(constant, Constant):
             raise ModelError(f"{self.owner}: {what} is not a finite number: {short(value)}")
-        return np.asarray(np.add(constant.value, 0.0), dtype=np.float64)  # without negative zeros
+        return np.asarray(np.add(known, 0.0), dtype=np.float64)  # without negative zeros
 
     def amounts(self, link: Link, names: Iterable[str]) -> dict[str, float]:
         """The nonzero values of a drive, by name."""
