@@ -172,7 +172,7 @@ def test_what_has_no_distance(unchecked: None) -> None:
             "a Sphere as the partner",
         ),
         (lambda: DistanceGrid([np.arange(4.0)] * 3, np.ones((4, 4))), "shape"),
-        (lambda: clearances(mechanics.chain_models.equal_links(2)), "links with shapes"),
+        (lambda: clearances(mechanics.chain_models.equal_links(2)), "links with collision geometry"),
         (lambda: clearances(mechanics.chain_models.equal_links(2), {"joint1": Sphere(0.1)}), "all pairs are excluded"),
         (lambda: soft_minimum([], 0.1), "got none"),
         (lambda: soft_minimum([tx.Constant(1.0)], 0.0), "width"),
