@@ -7,6 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
+from scipy.optimize import nnls
 from test_distances import poses, values
 
 import twistax as tx
@@ -114,6 +115,9 @@ def test_a_hull_with_fewer_corners_contains_it() -> None:
     places = np.tile(np.eye(4), (200, 1, 1))
     places[:, :3, 3] = points
     assert np.asarray(jax.vmap(lambda T: inside(0.0, {"T": T}))(places)).max() < 1e-12
+    weights = np.vstack([small.corners.T, np.full((1, len(small.corners)), 1e4)])  # not negative, with the sum 1
+    away = [np.linalg.norm(small.corners.T @ nnls(weights, np.append(p, 1e4))[0] - p) for p in points]
+    assert np.isclose(max(away), small.radius, rtol=1e-9)
 
 
 def test_pairs_of_a_mechanism(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from ...checks import listed, number
 from ...errors import ModelError, TwistaxError
 from ...expr import Cond, Constant, Expr, LogSumExp, Min, Norm
 from ...expr.lie import Act
+from ...progress import watching
 from ...view import Cylinder, Mesh, Shape
 from ..algorithms.dynamics import checked
 from ..kinematic_tree import KinematicTree
@@ -27,6 +28,7 @@ from .solids import HalfSpace, rounded
 Solids = Mapping[str, Solid | Iterable[Solid]]
 
 
+@watching("clearances")
 def clearances(
     mechanism: KinematicTree,
     solids: Solids | None = None,
