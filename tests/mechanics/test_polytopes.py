@@ -7,6 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
+from scipy.optimize import nnls
 from test_distances import poses, values
 
 import twistax as tx
@@ -114,6 +115,9 @@ def test_a_hull_with_fewer_corners_contains_it() -> None:
     places = np.tile(np.eye(4), (200, 1, 1))
     places[:, :3, 3] = points
     assert np.asarray(jax.vmap(lambda T: inside(0.0, {"T": T}))(places)).max() < 1e-12
+    weights = np.vstack([small.corners.T, np.full((1, len(small.corners)), 1e4)])  # not negative, with the sum 1
+    away = [np.linalg.norm(small.corners.T @ nnls(weights, np.append(p, 1e4))[0] - p) for p in points]
+    assert np.isclose(max(away), small.radius, rtol=1e-9)
 
 
 def test_pairs_of_a_mechanism(tmp_path: Path) -> None:
@@ -172,7 +176,7 @@ def test_what_has_no_distance(unchecked: None) -> None:
             "a Sphere as the partner",
         ),
         (lambda: DistanceGrid([np.arange(4.0)] * 3, np.ones((4, 4))), "shape"),
-        (lambda: clearances(mechanics.chain_models.equal_links(2)), "links with shapes"),
+        (lambda: clearances(mechanics.chain_models.equal_links(2)), "links with collision geometry"),
         (lambda: clearances(mechanics.chain_models.equal_links(2), {"joint1": Sphere(0.1)}), "all pairs are excluded"),
         (lambda: soft_minimum([], 0.1), "got none"),
         (lambda: soft_minimum([tx.Constant(1.0)], 0.0), "width"),

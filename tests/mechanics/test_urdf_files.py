@@ -123,11 +123,11 @@ def test_what_is_not_known_is_noted(tmp_path: Path) -> None:
         attributes=' xmlns:xacro="http://wiki.ros.org/xacro"',
     )
     assert loaded.notes == (
-        "<collision> of <link>: line 2",
         "<contact> of <link>, which URDF does not have: line 3",
         "<gazebo> of <robot>: line 5",
         "attribute 'RPY' of <origin>, which URDF does not have (did you mean 'rpy'?): line 4",
         "attribute 'dampping' of <dynamics>, which URDF does not have (did you mean 'damping'?): line 4",
+        "no distances (clearances): <collision> that cannot be read, of the links 'base'",
     )
 
 

@@ -50,6 +50,7 @@ class KinematicTree:
         loops: Iterable[Loop] = (),
         loop_metric: Metric = Metric(),  # noqa: B008
         shapes: Iterable[Shape] = (),
+        collision: Iterable[Shape] | None = None,
         base_body: SpatialInertia | None = None,
     ) -> None:
         name = type(self).__name__
@@ -63,6 +64,7 @@ class KinematicTree:
             raise ModelError(f"{name} expects gravity to be finite, got {self.gravity!r}")
         self._notes = tuple(notes)
         self.base, self.shapes, self.base_body = base, shapes_of(name, shapes), base_body
+        self.collision = None if collision is None else shapes_of(name, collision)
         instance(f"{name}: base_body", base_body, SpatialInertia | None, "a SpatialInertia", ModelError)
         self.dofs = 1 + max((max(s.freedoms, default=-1) for s in self.segments), default=-1)
         self.loops, self.loop_metric = tuple(loops), loop_metric
@@ -70,7 +72,7 @@ class KinematicTree:
         #: The arguments of the constructor besides the links, which `replace` passes on.
         self.arguments: dict[str, Any] = {"gravity": self.gravity, "base": base, "keep": keep, "notes": self._notes}
         self.arguments |= {"driven": driven, "loops": self.loops, "loop_metric": loop_metric, "shapes": self.shapes}
-        self.arguments["base_body"] = base_body
+        self.arguments |= {"base_body": base_body, "collision": self.collision}
         if driven is None:
             driven = [s.link.joint.name for s in self.segments if s.moves_by_motor]
         self.driven = tuple(driven)

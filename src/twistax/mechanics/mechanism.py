@@ -44,7 +44,6 @@ class Mechanism(KinematicTree):
 
     Args:
         links: one or more, in any order; see `Link`.
-        gravity: (3,) in the base's axes, m/s2; numbers or an expression.
         gravity: acceleration (3,) in the base's axes, m/s2; numbers or an expression.
         keep: names of `Fixed` joints that are not merged, so that their joint wrenches are available.
         notes: remarks on the model, such as elements of a file that are ignored.
@@ -55,10 +54,11 @@ class Mechanism(KinematicTree):
         driven: names of the joints with motors. By default all, except free and mimic joints, and passive joints, whose
             drive has a spring and no effort.
         shapes: shapes of the base in its frame, for `solution.show`, including fixed objects such as a table.
+        collision: the solids of the base for `clearances`; None: its shapes.
         base_body: the body of the base. It has an effect only once the base moves, after `attach` or `rerooted`.
     Attributes:
-        links, gravity, driven, loops, loop_metric, base, shapes: the arguments, with each link after its parent and
-            gravity as an expression.
+        links, gravity, driven, loops, loop_metric, base, shapes, collision: the arguments, with each link after its
+            parent and gravity as an expression.
         segments: the links after merging; see `Segment`.
         frames: all frames by name, with the segment of each.
         dofs: n.

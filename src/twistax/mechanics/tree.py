@@ -64,6 +64,7 @@ class Link:
         drive: rotor, damping, friction, spring, gear and limits of the joint.
         mimic: the joint that this one follows, or None.
         shapes: what `solution.show` draws for the link; by default the ellipsoid of its inertia.
+        collision: the solids of the link for `clearances`; None: its shapes.
     Raises:
         ModelError: a joint, body, drive or mimic of another type; a numeric mount that is not a pose, or one
             that depends on time, states or controls; a mimic joint with a position on a group.
@@ -78,6 +79,7 @@ class Link:
     drive: Drive = dataclasses.field(default_factory=Drive)
     mimic: Mimic | None = None
     shapes: Iterable[Shape] = ()
+    collision: Iterable[Shape] | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.joint, Joint):
@@ -92,6 +94,8 @@ class Link:
                 f"{self.mimic!r} of {self.joint!r}"
             )
         object.__setattr__(self, "shapes", shapes_of("Link", self.shapes))
+        if self.collision is not None:
+            object.__setattr__(self, "collision", shapes_of("Link", self.collision))
         owner = f"Link {self.name or self.joint.name!r}"
         object.__setattr__(self, "mount", constant(owner, "mount", pose("Link", "mount", self.mount)))
         object.__setattr__(self, "name", self.name or self.joint.name)
@@ -113,6 +117,11 @@ def shapes_of(owner: str, shapes: Any) -> tuple[Shape, ...]:
     if wrong:
         raise ModelError(f"{owner} expects shapes, such as tx.view.Sphere(0.1), got {wrong[0]!r}")
     return sequence
+
+
+def solids_of(part: Any) -> tuple[Shape, ...]:
+    """The solids for distances of a link, or of the base of a mechanism: its collision geometry, or else its shapes."""
+    return tuple(part.shapes if part.collision is None else part.collision)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -10,14 +10,17 @@ from pathlib import Path
 
 import numpy as np
 
-from ...checks import number
-from ...errors import ModelError
+from ...checks import listed, number
+from ...errors import ModelError, TwistaxError
 from ...expr import Cond, Constant, Expr, LogSumExp, Min, Norm
 from ...expr.lie import Act
-from ...view import Cylinder, Mesh
+from ...progress import watching
+from ...view import Cylinder, Mesh, Shape
 from ..algorithms.dynamics import checked
 from ..kinematic_tree import KinematicTree
+from ..models.looks import FilePlane
 from ..models.xml_file import read_xml
+from ..tree import solids_of
 from .polytope import ConvexPolytope
 from .signed_distance import Solid, signed_distance
 from .solids import HalfSpace, rounded
@@ -25,6 +28,7 @@ from .solids import HalfSpace, rounded
 Solids = Mapping[str, Solid | Iterable[Solid]]
 
 
+@watching("clearances")
 def clearances(
     mechanism: KinematicTree,
     solids: Solids | None = None,
@@ -38,11 +42,13 @@ def clearances(
     "hand-table".
 
     Excluded are frames connected by one joint, frames of one rigid body, and the pairs in `ignored` and in the SRDF
-    file. If a frame has several solids, the distance is the smallest over them.
+    file. If a frame has several solids, the distance is the smallest over them. A link without collision geometry in a
+    file that has some has no distances, as in Pinocchio and MoveIt.
 
     Args:
-        solids: solids by frame. None: the shapes of all links and of the base, with meshes replaced by convex hulls of
-            24 corners.
+        solids: solids by frame. None: the collision geometry of all links and of the base (`Link.collision`), or the
+            shapes of a mechanism that has none, with meshes replaced by convex hulls of 24 corners, whose radius grows
+            so that they contain the mesh.
         obstacles: solids by name, in the axes of the base; each is paired with all frames that move.
         ignored: pairs of names of frames or obstacles.
         srdf: a file with `<disable_collisions link1=... link2=.../>`, as MoveIt writes it.
@@ -51,7 +57,7 @@ def clearances(
             constraints remain satisfied; the value is discontinuous at the switch.
     Raises:
         ModelError: an unknown frame; a name that is both a frame and an obstacle; a solid without a distance function;
-            a file without such elements; no remaining pair.
+            collision geometry that cannot be read, by link; a file without such elements; no remaining pair.
 
     Example:
         `clearances(arm, {"hand": Sphere(0.1)}, {"table": box})["hand-table"] >= 0.02`
@@ -113,16 +119,35 @@ def _listed(value: Solid | Iterable[Solid]) -> list[Solid]:
 
 
 def _of_links(mechanism: KinematicTree) -> dict[str, list[Solid]]:
-    """The shapes of links, by frame."""
-    shapes = {link.name: link.shapes for link in mechanism.links} | {mechanism.base: mechanism.shapes}
-    solids = {
-        name: [ConvexPolytope(shape, most=24) if isinstance(shape, Mesh) else shape for shape in of_link]
-        for name, of_link in shapes.items()
-        if of_link
-    }
+    """The solids of links, by frame. Raises ModelError that names the links whose geometry cannot be read."""
+    solids, unread = dict[str, list[Solid]](), dict[str, str]()
+    for name, part in [(link.name, link) for link in mechanism.links] + [(mechanism.base, mechanism)]:
+        try:
+            if of_part := [_solid(shape) for shape in solids_of(part)]:
+                solids[name] = of_part
+        except TwistaxError as error:
+            unread[name] = str(error)
+    if unread:
+        name, reason = next(iter(unread.items()))
+        raise ModelError(
+            f"clearances: the collision geometry of the links {listed(unread)} cannot be used.\n"
+            f"  {name!r}: {reason}\n"
+            "  or pass solids= with the links that matter"
+        )
     if not solids:
-        raise ModelError("clearances expects links with shapes, or solids by frame")
-    return {name: list(of_link) for name, of_link in solids.items()}
+        raise ModelError("clearances expects links with collision geometry or shapes, or solids by frame")
+    return solids
+
+
+def _solid(shape: Shape) -> Solid:
+    """A shape as a solid with a distance function. Raises the errors of unreadable or other shapes."""
+    if isinstance(shape, FilePlane):
+        return HalfSpace(shape.at)
+    if isinstance(shape, Mesh):
+        return ConvexPolytope(shape, most=24)
+    if not isinstance(shape, Cylinder):
+        rounded("clearances", shape)
+    return shape
 
 
 def _may_touch(mechanism: KinematicTree, a: int | None, b: int | None) -> bool:

@@ -64,16 +64,9 @@ class ConvexPolytope:
         if not 0.0 <= float(self.radius) < np.inf:
             raise InputError(f"ConvexPolytope expects a radius of 0 or more, got {self.radius!r}")
         hull = _hull(points)
-        kept = hull if self.most is None or len(hull) <= self.most else _fewer(hull, int(self.most))
-        if kept is not hull:
-            object.__setattr__(self, "corners", kept)
-            to_point = distance(self.core, Core.point(np.zeros(3)))
-            places = np.tile(np.eye(4), (len(hull), 1, 1))
-            places[:, :3, 3] = hull
-            missed = float(jnp.max(jax.vmap(to_point)(places)))
-            object.__setattr__(self, "radius", float(self.radius) + max(missed, 0.0))
-            del self.__dict__["core"]
+        kept, missed = (hull, 0.0) if self.most is None or len(hull) <= self.most else _fewer(hull, int(self.most))
         object.__setattr__(self, "corners", kept)
+        object.__setattr__(self, "radius", float(self.radius) + missed)
 
     @functools.cached_property
     def core(self) -> Core:
@@ -171,15 +164,38 @@ def _hull(points: NDArray[np.float64]) -> NDArray[np.float64]:
         ) from error
 
 
-def _fewer(hull: NDArray[np.float64], most: int) -> NDArray[np.float64]:
-    """At most this number of corners, each the farthest from the previous ones. Raises
-    InputError for fewer than four.
+def _fewer(hull: NDArray[np.float64], most: int) -> tuple[NDArray[np.float64], float]:
+    """At most this number of corners, and the largest distance of the others from their hull. Each corner is the
+    farthest from the hull of the previous ones. Raises InputError for fewer than four.
     """
     if most < 4:
         raise InputError(f"ConvexPolytope expects most to be 4 or more, got {most}")
-    kept = [int(np.argmax(np.linalg.norm(hull - hull.mean(axis=0), axis=1)))]
-    distances = np.linalg.norm(hull - hull[kept[0]], axis=1)
-    while len(kept) < most:
-        kept.append(int(np.argmax(distances)))
-        distances = np.minimum(distances, np.linalg.norm(hull - hull[kept[-1]], axis=1))
-    return _hull(hull[kept])
+    first = int(np.argmax(np.linalg.norm(hull - hull.mean(axis=0), axis=1)))
+    second = int(np.argmax(np.linalg.norm(hull - hull[first], axis=1)))
+    kept = [first, second]
+    axis = np.cross(hull - hull[first], hull[second] - hull[first])
+    kept.append(int(np.argmax(np.linalg.norm(axis, axis=1))))
+    kept.append(int(np.argmax(np.abs((hull - hull[first]) @ axis[kept[-1]]))))
+    while True:
+        corners = _hull(hull[kept])
+        away = _distances(corners, hull)
+        if len(kept) == most or away.max() == 0.0:
+            return corners, float(away.max())
+        kept.append(int(np.argmax(away)))
+
+
+def _distances(corners: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The distances (k,) of points (k, 3) from a hull; zero inside."""
+    from scipy.spatial import ConvexHull
+
+    core = Core.of_hull(ConvexHull(corners), np.eye(4), 0.0)
+    heights = points @ core.face_normals.T - core.face_offsets
+    places = np.einsum("fij,kfj->kfi", core.face_duals, points[:, None] - core.faces[:, 0])
+    above = (places >= 0.0).all(axis=2) & (places.sum(axis=2) <= 1.0)
+    start, along = core.edges[:, 0], core.edges[:, 1] - core.edges[:, 0]
+    w = points[:, None] - start
+    s = np.clip(np.sum(w * along, axis=2) / np.sum(along**2, axis=1), 0.0, 1.0)
+    to_edges = np.linalg.norm(w - s[..., None] * along, axis=2).min(axis=1)
+    to_faces = np.where(above, np.abs(heights), np.inf).min(axis=1)
+    is_corner = (points[:, None] == corners).all(axis=2).any(axis=1)
+    return np.where((heights.max(axis=1) <= 0.0) | is_corner, 0.0, np.minimum(to_edges, to_faces))

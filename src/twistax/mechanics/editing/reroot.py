@@ -41,10 +41,11 @@ def rerooted(mechanism: KinematicTree, frame: str) -> Changes:
     if not (isinstance(top.joint, Free) or (isinstance(top.joint, Fixed) and alone)):
         # The base itself is the old root: it becomes a link, and the new base is called "world".
         old = mechanism.base
-        top = Link(Fixed(free_name("root", joints)), mechanism.base_body, _UNIT, name=old, shapes=mechanism.shapes)
+        solids = {"shapes": mechanism.shapes, "collision": mechanism.collision}
+        top = Link(Fixed(free_name("root", joints)), mechanism.base_body, _UNIT, name=old, **solids)
         path.append(top)
         joints.add(top.joint.name)
-        changes = {"base": free_name("world", mechanism.frames), "shapes": (), "base_body": None}
+        changes = {"base": free_name("world", mechanism.frames), "shapes": (), "collision": None, "base_body": None}
         gravity = mechanism.gravity
         if not isinstance(gravity, Constant) or gravity.value.any():
             changes["notes"] = (*mechanism.arguments["notes"], f"gravity is in the axes of {path[0].name!r} now")
@@ -74,7 +75,7 @@ def _turned(child: Link, parent: Link, names: set[str], joints: set[str]) -> Ite
             f"Mechanism.rerooted: joint {child.joint.name!r} would be reversed, and its drive has {listed(special)}, "
             "which are defined in the axes of its child.\n  fix: first replace(drives={...: Drive()})"
         )
-    carried: dict[str, Any] = {"body": parent.body, "name": parent.name, "shapes": parent.shapes}
+    carried: dict[str, Any] = {name: getattr(parent, name) for name in ("body", "name", "shapes", "collision")}
     (mount,) = canonicalize_all([Inverse(child.mount)])
     arguments: dict[str, Any] = {"drive": child.drive, "mimic": child.mimic, "parent": child.name}
     joint = child.joint.reversed()

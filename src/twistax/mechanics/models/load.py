@@ -34,7 +34,8 @@ def load(
     MJCF is compiled by MuJoCo (`pip install twistax[models]`). `solution.show` draws boxes, cylinders, balls, capsules,
     and meshes whose files exist. `mechanism.notes` lists parts of the file that are not used, such as missing meshes or
     unknown attributes, and the conventions that were applied. Nothing in a file is executed. Meshes are opened when
-    they are drawn. Included files of MJCF, and meshes that determine a mass, are opened when the model is loaded.
+    they are drawn or used in distances. Included files of MJCF, and meshes that determine a mass, are opened when the
+    model is loaded.
 
     Masses and inertias are checked. Links that are fixed together count as one body. A moving body whose mass or a
     principal moment is not positive raises an error, because the equations of motion may have no unique solution.
@@ -83,6 +84,7 @@ def load(
             driven=model.driven,
             loops=model.loops,
             shapes=model.shapes,
+            collision=model.collision,
             base_body=model.base_body,
         )
     except ModelError as error:

@@ -1,4 +1,4 @@
-"""Shapes of links from the boxes, cylinders, balls, capsules and meshes of a file. Shapes that cannot be drawn are
+"""Shapes of links from the boxes, cylinders, balls, capsules and meshes of a file. Shapes that cannot be read are
 noted.
 
 Source: the pages of http://wiki.ros.org/urdf/XML/link and https://mujoco.readthedocs.io, body/geom.
@@ -7,6 +7,7 @@ Source: the pages of http://wiki.ros.org/urdf/XML/link and https://mujoco.readth
 from __future__ import annotations
 
 import collections
+import dataclasses
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -15,7 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import TwistaxError
+from ...checks import listed
+from ...errors import InputError, TwistaxError
 from ...view import Box, Capsule, Cylinder, Ellipsoid, Mesh, Shape, Sphere
 from ...view.shapes import STEEL, Color
 from ..arguments import matrix
@@ -26,9 +28,28 @@ from .xml_file import Element
 _SHOWN = 2
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class MissingMesh(Mesh):
+    """Collision geometry of a file that cannot be read: its corners raise an InputError.
+
+    Attributes:
+        source: the name of a file as the model states it; empty for geometry of another kind.
+        reason: why it cannot be read.
+    """
+
+    reason: str = dataclasses.field(default="", kw_only=True)
+
+    def mesh(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        raise InputError(self.reason)
+
+
+class FilePlane(MissingMesh):
+    """The plane z = 0 at its pose, as collision geometry without corners; solid below."""
+
+
 class UrdfLooks:
     """The shapes of the links of a robot: those of <visual>, or those of <collision> if none of the former can be
-    drawn.
+    drawn. The solids for distances are those of <collision>.
 
     Args:
         robot: the root element, whose materials are referenced by name.
@@ -36,7 +57,7 @@ class UrdfLooks:
         folder, within: the folder of the file, and the folder in which meshes may be. Meshes are read when they are
             drawn.
     Attributes:
-        notes: the parts of <visual> that are not drawn.
+        notes: the parts of <visual> that are not drawn, and the links with <collision> that cannot be read.
     """
 
     def __init__(
@@ -48,7 +69,9 @@ class UrdfLooks:
     ) -> None:
         self._placed, self._left_out = placed, collections.Counter[str]()
         self._folder, self._within = folder, within
+        self._unread = dict[str, None]()
         visuals = [visual for link in robot.all("link") for visual in link.all("visual")]
+        self._collides = any(link.first("collision") for link in robot.all("link"))
         self._colors = dict[str, tuple[Color, float]]()
         for material in [m for place in (robot, *visuals) for m in place.all("material")]:
             color = material.first("color")
@@ -57,17 +80,34 @@ class UrdfLooks:
 
     @property
     def notes(self) -> list[str]:
-        """The shapes that are not drawn, with counts."""
-        return [f"{what}, {count} times" for what, count in sorted(self._left_out.items())]
+        """The shapes that are not drawn, with counts, and the links without distances."""
+        lines = [f"{what}, {count} times" for what, count in sorted(self._left_out.items())]
+        unread = "no distances (clearances): <collision> that cannot be read, of the links"
+        return [f"{unread} {listed(self._unread)}", *lines] if self._unread else lines
 
     def of(self, link: Element) -> tuple[Shape, ...]:
         """The shapes in the axes of the link."""
-        shown = [shape for visual in link.all("visual") for shape in self._shape(visual)]
-        # If visual shapes are meshes, collision shapes are often simple.
-        return tuple(shown or [shape for solid in link.all("collision") for shape in self._shape(solid)])
+        for tag in ("visual", "collision"):  # if visual shapes are meshes, collision shapes are often simple
+            shapes = [self._shape(element) for element in link.all(tag)]
+            if shown := tuple(shape for shape in shapes if not isinstance(shape, MissingMesh)):
+                return shown
+        return ()
 
-    def _shape(self, element: Element) -> list[Shape]:
-        """A tuple of one shape; empty, with a note, if it cannot be drawn."""
+    def collision_of(self, link: Element) -> tuple[Shape, ...] | None:
+        """The solids for distances, in the axes of the link; None if no link of the file has any."""
+        if not self._collides:
+            return None
+        solids = tuple(self._shape(element) for element in link.all("collision"))
+        if any(isinstance(solid, MissingMesh) for solid in solids):
+            self._unread[link.text("name")] = None
+        return solids
+
+    def both(self, link: Element) -> dict[str, Any]:
+        """The shapes and the solids for distances, as arguments of `Link`."""
+        return {"shapes": self.of(link), "collision": self.collision_of(link)}
+
+    def _shape(self, element: Element) -> Shape:
+        """The shape of an element; a `MissingMesh` if it cannot be read, for <visual> with a note."""
         geometry = element.first("geometry")
         solid = geometry.children[0] if geometry is not None and geometry.children else element
         try:
@@ -75,36 +115,47 @@ class UrdfLooks:
             color, opacity = self._looks(element.first("material"))
             looks: dict[str, Any] = {"at": matrix(R, p), "color": color, "opacity": opacity}
             if solid.tag == "box":
-                return [Box(solid.numbers("size", 3), **looks)]
+                return Box(solid.numbers("size", 3), **looks)
             if solid.tag == "sphere":
-                return [Sphere(solid.number("radius"), **looks)]
+                return Sphere(solid.number("radius"), **looks)
             if solid.tag in ("cylinder", "capsule"):
                 kind = Cylinder if solid.tag == "cylinder" else Capsule
-                return [kind(solid.number("radius"), solid.number("length"), **looks)]
-            file = self._file(solid.text("filename")) if solid.tag == "mesh" else None
-            if file is not None:
-                scale = solid.numbers("scale", 3) if "scale" in solid.attributes else 1.0
-                return [Mesh(file, scale, **looks)]
+                return kind(solid.number("radius"), solid.number("length"), **looks)
             why = f"<{solid.tag}> of <{element.tag}>"
+            if solid.tag == "mesh":
+                name = solid.text("filename")
+                looks["scale"] = solid.numbers("scale", 3) if "scale" in solid.attributes else 1.0
+                if (file := self._file(name, self._within)) is not None:
+                    return Mesh(file, **looks)
+                missing = MissingMesh(name, reason=self._reason(name), **looks)
+            else:
+                missing = MissingMesh("", reason=f"{why} is not a solid")
         except TwistaxError as error:
             what = str(error).splitlines()[0].removeprefix(f"{solid.place}: ")
             why = f"<{element.tag}> in line {element.line}: {what}"
+            missing = MissingMesh("", reason=why)
         if element.tag == "visual":
             self._left_out[f"not drawn: {why}"] += 1
-        return []
+        return missing
 
-    def _file(self, name: str) -> Path | None:
-        """The file of a mesh; None if it does not exist, or is outside of the folder in which files may be read.
+    def _reason(self, name: str) -> str:
+        """Why a mesh is not read, with the folder that contains its file if that is above the model's."""
+        text = f"there is no file {name!r} in {str(self._within)!r}"
+        folder = next((above for above in self._folder.parents if self._file(name, above)), None)
+        return text if folder is None else f"{text}.\n  fix: load(..., within={str(folder)!r}), which contains it"
+
+    def _file(self, name: str, within: Path) -> Path | None:
+        """The file of a mesh; None if it does not exist, or is outside of a folder.
 
         `package://NAME/PATH` is PATH in a folder NAME that contains the model or is next to it; the paths of ROS
         packages are not known here.
         """
         rest = re.sub(r"^(package|file|model)://", "", name)
         inner = rest.partition("/")[2]
-        folders = [self._folder, *(p for p in self._folder.parents if p.is_relative_to(self._within))]
+        folders = [self._folder, *(p for p in self._folder.parents if p.is_relative_to(within))]
         candidates = [folder / part for folder in folders for part in (rest, inner) if part]
         files = (path.resolve() for path in candidates if path.is_file())
-        return next((path for path in files if path.is_relative_to(self._within)), None)
+        return next((path for path in files if path.is_relative_to(within)), None)
 
     def _looks(self, material: Element | None) -> tuple[Color, float]:
         color = None if material is None else material.first("color")
@@ -126,16 +177,17 @@ def _painted(rgba: Any) -> tuple[Color, float]:
 
 
 def looks_of_mjcf(
-    model: Any, mujoco: Any, rotation: Callable[[Any], NDArray[np.float64]], drawn: Mapping[int, DrawnMesh]
-) -> tuple[dict[int, tuple[Shape, ...]], int]:
-    """The shapes of every body, by its index and in its axes: those that MuJoCo draws, or else the hidden ones.
+    model: Any, mujoco: Any, rotation: Callable[[Any], NDArray[np.float64]], drawn: Mapping[int, DrawnMesh | None]
+) -> tuple[dict[int, dict[str, Any]], int]:
+    """The shapes of every body, by its index and in its axes: those that MuJoCo draws, or else the hidden ones. The
+    solids for distances are the geoms that may collide (contype or conaffinity); None if there are none.
 
     Args:
         model: a `mujoco.MjModel`.
         rotation: the matrix of a quaternion.
         drawn: the meshes that replace geoms, by the index of the geom; their files are read when they are drawn.
     Returns:
-        the shapes, and the number of geoms without a shape: planes and height fields.
+        the arguments `shapes` and `collision` of `Link`, and the number of geoms without a shape: planes.
     """
     kinds, left_out = mujoco.mjtGeom, 0
     known: dict[int, Callable[..., Shape]] = {
@@ -147,10 +199,10 @@ def looks_of_mjcf(
     }
     shown: dict[int, list[Shape]] = collections.defaultdict(list)
     hidden: dict[int, list[Shape]] = collections.defaultdict(list)
+    solids: dict[int, list[Shape]] = collections.defaultdict(list)
     for i in range(model.ngeom):
         color, opacity = _painted(model.geom_rgba[i])
-        if opacity == 0.0:
-            continue
+        collides = bool(model.geom_contype[i] | model.geom_conaffinity[i])
         looks: dict[str, Any] = {
             "at": matrix(rotation(model.geom_quat[i]), np.array(model.geom_pos[i])),
             "color": color,
@@ -158,16 +210,26 @@ def looks_of_mjcf(
         }
         a, b, c = (float(x) for x in model.geom_size[i])
         kind, body = int(model.geom_type[i]), int(model.geom_bodyid[i])
-        shapes = (hidden if model.geom_group[i] > _SHOWN else shown)[body]
         if mesh := drawn.get(i):
-            shapes.append(Mesh(mesh.path, scale=mesh.scale, **{**looks, "at": looks["at"] @ mesh.offset}))
+            shape: Shape = Mesh(mesh.path, scale=mesh.scale, **{**looks, "at": looks["at"] @ mesh.offset})
+        elif i in drawn:
+            shape = MissingMesh("", reason="a mesh that cannot be read, or a height field", **looks)
         elif kind == int(kinds.mjGEOM_MESH):
-            shapes.append(Mesh(_triangles(model, int(model.geom_dataid[i])), **looks))
+            shape = Mesh(_triangles(model, int(model.geom_dataid[i])), **looks)
         elif kind in known:
-            shapes.append(known[kind](a, b, c, looks))
+            shape = known[kind](a, b, c, looks)
         else:
-            left_out += 1
-    return {i: tuple(shown[i] or hidden[i]) for i in range(model.nbody)}, left_out
+            shape = FilePlane("", reason="a plane has no corners", **looks)
+            left_out += opacity > 0.0
+        if collides:
+            solids[body].append(shape)
+        if opacity > 0.0 and not isinstance(shape, MissingMesh):
+            (hidden if model.geom_group[i] > _SHOWN else shown)[body].append(shape)
+    both = {
+        i: {"shapes": tuple(shown[i] or hidden[i]), "collision": tuple(solids[i]) if solids else None}
+        for i in range(model.nbody)
+    }
+    return both, left_out
 
 
 def _triangles(model: Any, number: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

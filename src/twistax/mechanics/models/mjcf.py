@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 from ...expr import Expr
 from ...expr.lie import Compose
 from ...system import free_name
-from ...view import Shape
 from ..arguments import matrix
 from ..drives import Drive
 from ..joints import Fixed, Free, Joint, Prismatic, Revolute, Spherical
@@ -60,7 +59,7 @@ class Mjcf:
         folder: the folder in which included files and meshes may be.
         quarter_turns: rotations whose entries differ by at most this from those of quarter turns are rounded.
     Attributes:
-        links, base, gravity, driven, notes, shapes, loops: for `Mechanism`.
+        links, base, gravity, driven, notes, shapes, collision, loops: for `Mechanism`.
     Raises: ModelError with file and line.
     """
 
@@ -73,7 +72,7 @@ class Mjcf:
         self._looks, not_drawn = looks_of_mjcf(self.model, self.mujoco, self._rotation, file.drawn)
         if not_drawn:
             self.notes.append(f"geoms that are not drawn, meshes and planes: {not_drawn}")
-        self.base, self.shapes = self._name("body", 0), self._looks[0]
+        self.base, (self.shapes, self.collision) = self._name("body", 0), self._looks[0].values()
         self.base_body = None
         self.gravity = np.array(self.model.opt.gravity) * self._switched_on("GRAVITY")
         if self.model.nbody == 1:
@@ -124,19 +123,19 @@ class Mjcf:
             last = j == joints[-1] and not (after - _UNIT).any()
             link_name = name if last else free_name(joint.name, self._taken)
             self._taken.add(link_name)
-            carried, looks = (body, self._looks[i]) if last else (None, ())
+            carried, looks = (body, self._looks[i]) if last else (None, {})
             drive, mimic = self._drive(j), self._mimics.get(j)
-            link = Link(joint, carried, mount, parent=parent, name=link_name, drive=drive, mimic=mimic, shapes=looks)
+            link = Link(joint, carried, mount, parent=parent, name=link_name, drive=drive, mimic=mimic, **looks)
             self.links.append(link)
             if last:
                 return
             mount, parent = after, link_name
-        self._add_fixed(name, body, mount, parent, self._looks[i])
+        self._add_fixed(name, body, mount, parent, **self._looks[i])
 
-    def _add_fixed(self, name: str, body: Any, mount: Any, parent: str | None, shapes: tuple[Shape, ...] = ()) -> None:
+    def _add_fixed(self, name: str, body: Any, mount: Any, parent: str | None, **looks: Any) -> None:
         joint = free_name(f"{name} fixed", self._fixed)
         self._fixed.add(joint)
-        self.links.append(Link(Fixed(joint), body, mount, parent=parent, name=name, shapes=shapes))
+        self.links.append(Link(Fixed(joint), body, mount, parent=parent, name=name, **looks))
 
     def _add_site(self, i: int) -> None:
         if self.model.site(i).name:

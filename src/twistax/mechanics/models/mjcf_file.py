@@ -76,7 +76,8 @@ class Compiled:
         model: the `mujoco.MjModel`.
         warnings: MuJoCo's.
         left_out: the number of elements that were removed before compiling, by kind.
-        drawn: meshes that are only drawn, by the index of the tiny massless sphere that replaces the geom.
+        drawn: meshes that are only drawn, by the index of the tiny massless sphere that replaces the geom; None for
+            meshes that cannot be read and height fields.
     Raises: ModelError with file, line and element.
     """
 
@@ -85,7 +86,7 @@ class Compiled:
         self.left_out = collections.Counter[str]()
         self._folder, self._within = root.path.resolve().parent, folder.resolve()
         self._opened = dict[str, Element]()
-        drawn = list[tuple[Any, DrawnMesh]]()
+        drawn = list[tuple[Any, DrawnMesh | None]]()
         self._root, self._elements, self._read = root, list[Element](), {root.path.resolve()}
         text = self._written(self._with_included(root))
         try:
@@ -202,11 +203,16 @@ class Compiled:
             spec.delete(asset)
 
     def _without_shapes(
-        self, spec: Any, mujoco: Any, body: Any, is_moving: bool, needed: set[str], drawn: list[tuple[Any, DrawnMesh]]
+        self,
+        spec: Any,
+        mujoco: Any,
+        body: Any,
+        is_moving: bool,
+        needed: set[str],
+        drawn: list[tuple[Any, DrawnMesh | None]],
     ) -> None:
-        """Remove geoms that refer to files, except those that determine the mass of a moving body.
-
-        A tiny sphere replaces a mesh that can be drawn, so that MuJoCo computes its pose without its file.
+        """Replace geoms that refer to files, except those that determine the mass of a moving body, by tiny spheres, so
+        that MuJoCo computes their poses without the files.
         """
         by_geoms = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
         first, last = spec.compiler.inertiagrouprange
@@ -217,11 +223,14 @@ class Compiled:
             has_mass = geom.mass != 0.0 and (not np.isnan(geom.mass) or geom.density != 0.0)
             if is_moving and (by_geoms or not body.explicitinertial) and has_mass and first <= geom.group <= last:
                 needed.add(geom.meshname)
-            elif geom.type == mujoco.mjtGeom.mjGEOM_MESH and (mesh := self._drawn_mesh(spec, mujoco, geom.meshname)):
-                drawn.append((geom, mesh))
-                geom.type, geom.meshname, geom.mass, geom.size = mujoco.mjtGeom.mjGEOM_SPHERE, "", 0.0, [_TINY] * 3
-            else:
-                self._delete(spec, "geoms of meshes and height fields", [geom])
+                continue
+            mesh = self._drawn_mesh(spec, mujoco, geom.meshname) if geom.meshname else None
+            if mesh is None or geom.type != mujoco.mjtGeom.mjGEOM_MESH:
+                self.left_out["geoms of meshes and height fields"] += 1
+                mesh = None
+            drawn.append((geom, mesh))
+            geom.type, geom.mass, geom.size = mujoco.mjtGeom.mjGEOM_SPHERE, 0.0, [_TINY] * 3
+            geom.meshname = geom.hfieldname = ""
         for child in body.bodies:
             self._without_shapes(spec, mujoco, child, is_moving, needed, drawn)
 

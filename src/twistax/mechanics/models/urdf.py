@@ -40,7 +40,7 @@ class Urdf:
         floating: whether the root is on a `Free` joint, "root".
         quarter_turns: an angle that differs from a multiple of a quarter turn by at most this, in rad, is rounded.
     Attributes:
-        links, base, gravity, driven, notes, shapes, loops: for `Mechanism`.
+        links, base, gravity, driven, notes, shapes, collision, loops: for `Mechanism`.
     Raises: ModelError with file and line.
     """
 
@@ -58,6 +58,7 @@ class Urdf:
         alone = not tree.joints  # in this case the mechanism consists of the root link
         self.base = free_name("world", tree.links) if floating or alone else tree.root
         self.shapes = () if floating or alone else self._looks.of(root)
+        self.collision = None if floating or alone else self._looks.collision_of(root)
         self.links = list[Link]()
         if floating or alone:
             self.links.append(self._root(root, Free if floating else Fixed))
@@ -75,7 +76,7 @@ class Urdf:
         name = free_name("root", self._tree.joints)
         if name != "root":
             self.notes.append(f"the free joint of the root link is {name!r}: a joint of the file is named 'root'")
-        return Link(kind(name), self._body(root), np.eye(4), name=self._tree.root, shapes=self._looks.of(root))
+        return Link(kind(name), self._body(root), np.eye(4), name=self._tree.root, **self._looks.both(root))
 
     def _length(self, robot: Element) -> float:
         """The largest distance of a joint or a centre of mass from its reference frame, m; 1 if there is none."""
@@ -96,7 +97,7 @@ class Urdf:
                 name=child.text("name"),
                 drive=self._drive(element),
                 mimic=self._tree.followers.get(joint.name),
-                shapes=self._looks.of(child),
+                **self._looks.both(child),
             )
         except TwistaxError as error:
             raise error if str(error).startswith(element.path.name) else element.wrong(str(error)) from None
@@ -108,7 +109,7 @@ class Urdf:
         self._names.add(plane)
         return [
             Link(joint, None, link.mount @ C, parent=link.parent, name=plane, drive=link.drive),
-            Link(Fixed(plane), link.body, C.T, parent=plane, name=link.name, shapes=link.shapes),
+            Link(Fixed(plane), link.body, C.T, parent=plane, name=link.name, **self._looks.both(child)),
         ]
 
     def _joint(self, element: Element) -> tuple[Joint, NDArray[np.float64] | None]:

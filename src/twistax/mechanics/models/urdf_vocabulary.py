@@ -30,12 +30,13 @@ class _Kind:
 _SOLID = "box cylinder sphere capsule mesh"
 _VOCABULARY = {
     "robot": _Kind("name version", "", "link joint material", "transmission gazebo sensor ros2_control mujoco"),
-    "link": _Kind("name type", "inertial", "visual", "collision"),
+    "link": _Kind("name type", "inertial", "visual collision"),
     "inertial": _Kind("", "origin mass inertia"),
     "origin": _Kind("xyz rpy"),
     "mass": _Kind("value"),
     "inertia": _Kind("ixx ixy ixz iyy iyz izz"),
     "visual": _Kind("name", "origin geometry material"),
+    "collision": _Kind("name", "", "origin geometry material"),
     "geometry": _Kind("name", _SOLID),
     "box": _Kind("size"),
     "cylinder": _Kind("radius length"),

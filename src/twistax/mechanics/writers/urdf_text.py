@@ -19,7 +19,7 @@ from ...view import Box, Capsule, Cylinder, Mesh, Shape, Sphere
 from ..bodies import SpatialInertia
 from ..joints import Fixed, Free, Joint, Planar, Prismatic, Revolute, Spherical
 from ..kinematic_tree import KinematicTree
-from ..tree import Link
+from ..tree import Link, solids_of
 from .written import Losses, child, document, limits, robot_name, text
 
 _GRAVITY = np.array([0.0, 0.0, -9.81])
@@ -46,16 +46,30 @@ def urdf_text(mechanism: KinematicTree, name: str, leave_out: Collection[str]) -
         losses.add("driven", "the mechanism")
     for kept in mechanism.arguments["keep"]:
         losses.add("keep", kept)
-    _add_link(robot, losses, mechanism.base, mechanism.base_body, mechanism.shapes)
+    collides = any(part.collision is not None for part in (mechanism, *mechanism.links))
+    _add_link(robot, losses, mechanism.base, mechanism.base_body, _solids(mechanism, collides))
     for link in mechanism.links:
-        _add_link(robot, losses, link.name, link.body, link.shapes)
+        _add_link(robot, losses, link.name, link.body, _solids(link, collides))
         _add_joint(robot, losses, link, mechanism.base if link.parent is None else link.parent)
     losses.check()
     return document(robot)
 
 
+def _solids(part: Link | KinematicTree, collides: bool) -> dict[str, Iterable[Shape]]:
+    """The shapes of a link or of the base, by the element that contains them.
+
+    Args:
+        collides: whether the file has <collision>; a reader then uses nothing else in distances.
+    """
+    return {"visual": part.shapes, "collision": solids_of(part) if collides else ()}
+
+
 def _add_link(
-    robot: ElementTree.Element, losses: Losses, name: str, body: SpatialInertia | None, shapes: Iterable[Shape]
+    robot: ElementTree.Element,
+    losses: Losses,
+    name: str,
+    body: SpatialInertia | None,
+    solids: dict[str, Iterable[Shape]],
 ) -> None:
     element = child(robot, "link", name=name)
     if body is not None:
@@ -68,16 +82,18 @@ def _add_link(
         rows, columns = np.triu_indices(3)
         entries = {f"i{'xyz'[i]}{'xyz'[j]}": text(tensor[i, j]) for i, j in zip(rows, columns, strict=True)}
         child(inertial, "inertia", **entries)
-    for shape in shapes:
-        solid = _solid(shape)
-        if solid is None:
-            losses.add("shapes", name)
-            continue
-        visual = child(element, "visual")
-        _add_origin(visual, shape.at)
-        child(visual, "geometry").append(solid)
-        color = [*(part / 255.0 for part in shape.color), shape.opacity]
-        child(child(visual, "material", name=""), "color", rgba=text(color))
+    for tag, shapes in solids.items():
+        for shape in shapes:
+            solid = _solid(shape)
+            if solid is None:
+                losses.add("shapes", name)
+                continue
+            part = child(element, tag)
+            _add_origin(part, shape.at)
+            child(part, "geometry").append(solid)
+            if tag == "visual":
+                color = [*(value / 255.0 for value in shape.color), shape.opacity]
+                child(child(part, "material", name=""), "color", rgba=text(color))
 
 
 def _solid(shape: Shape) -> ElementTree.Element | None:
@@ -88,7 +104,7 @@ def _solid(shape: Shape) -> ElementTree.Element | None:
     if isinstance(shape, (Cylinder, Capsule)):
         tag = "cylinder" if isinstance(shape, Cylinder) else "capsule"
         return ElementTree.Element(tag, radius=text(shape.radius), length=text(shape.length))
-    if isinstance(shape, Mesh) and isinstance(shape.source, (str, Path)):
+    if isinstance(shape, Mesh) and isinstance(shape.source, (str, Path)) and str(shape.source):
         scale = np.broadcast_to(np.asarray(shape.scale, dtype=np.float64), (3,))
         return ElementTree.Element("mesh", filename=str(shape.source), scale=text(scale))
     return None

@@ -68,6 +68,7 @@ class ArrayForm:
         return Counter(eqn.primitive.name for eqn in all_equations(self.program.jaxpr))
 
 
+@functools.lru_cache(maxsize=4)  # kernels and calls of one function need it one after the other
 def array_form(program: ClosedJaxpr, checked: bool, terminates: bool = False) -> ArrayForm:
     """The form of a function of matrices.
 

@@ -1,0 +1,110 @@
+"""Distances of the links of robots from files: their geometry, their pairs, and Pinocchio with Coal."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import twistax as tx
+from evaluated import evaluated
+from twistax import mechanics
+from twistax.mechanics import Link, Mechanism, clearances, joints
+from twistax.view import Box, Sphere
+
+URDF = """<robot name="arm">
+  <link name="base"><collision><geometry><sphere radius="0.1"/></geometry></collision></link>
+  <link name="rod">{inertial}</link>
+  <link name="hand">{inertial}<visual><geometry><box size="1 1 1"/></geometry></visual>
+    <collision><origin xyz="0 0 0.5"/><geometry><sphere radius="0.2"/></geometry></collision></link>
+  <link name="tip">{inertial}<visual><geometry><box size="1 1 1"/></geometry></visual></link>
+  <link name="tool">{inertial}<collision><origin xyz="0 0 0.4"/><geometry>{mesh}</geometry></collision></link>
+  <joint name="a" type="continuous"><parent link="base"/><child link="rod"/><origin xyz="0 0 1"/></joint>
+  <joint name="b" type="continuous"><parent link="rod"/><child link="hand"/><origin xyz="0 0 1"/></joint>
+  <joint name="c" type="continuous"><parent link="hand"/><child link="tip"/><origin xyz="0 0 1"/></joint>
+  <joint name="d" type="continuous"><parent link="tip"/><child link="tool"/><origin xyz="0 0 1"/></joint>
+</robot>"""
+INERTIAL = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
+MESH = '<mesh filename="package://arm/meshes/tool.obj" scale="0.5 0.5 0.5"/>'
+
+
+def written(folder: Path, mesh: str = MESH) -> Path:
+    """A package with a URDF file and the mesh of a cube of 2 m."""
+    (folder / "arm" / "meshes").mkdir(parents=True, exist_ok=True)
+    (folder / "arm" / "urdf").mkdir(exist_ok=True)
+    corners, faces = Box((2.0, 2.0, 2.0)).mesh()
+    lines = [f"v {x} {y} {z}" for x, y, z in corners] + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces]
+    (folder / "arm" / "meshes" / "tool.obj").write_text("\n".join(lines))
+    path = folder / "arm" / "urdf" / "arm.urdf"
+    path.write_text(URDF.format(inertial=INERTIAL, mesh=mesh))
+    return path
+
+
+def test_collision_geometry_of_a_urdf_file(tmp_path: Path) -> None:
+    pytest.importorskip("trimesh")
+    path = written(tmp_path)
+    arm = mechanics.load(path, within=tmp_path)
+    pairs = clearances(arm)
+    gaps = {frozenset(name.split("-")): d for name, d in evaluated(pairs, {"q": np.zeros(4)}).items()}
+    assert len(pairs) == 3
+    assert np.isclose(gaps[frozenset(("base", "hand"))], 2.5 - 0.3)
+    assert np.isclose(gaps[frozenset(("base", "tool"))], 4.4 - 0.6)  # the cube has an edge of 1 m
+    assert np.isclose(gaps[frozenset(("hand", "tool"))], 4.4 - 2.5 - 0.7)
+    (tmp_path / "again.urdf").write_text(arm.to_urdf())
+    read = mechanics.load(tmp_path / "again.urdf")
+    assert clearances(read).keys() == pairs.keys()
+    assert np.array_equal(read.link("tool").collision[0].corners(), arm.link("tool").collision[0].corners())
+
+
+def test_collision_geometry_follows_edits(tmp_path: Path) -> None:
+    arm = mechanics.load(written(tmp_path, '<sphere radius="0.1"/>'))
+    first, second = arm.renamed("left_"), arm.renamed("right_")
+    names = {name for pair in clearances(first.attach(second, "left_tool")) for name in pair.split("-")}
+    assert names == {f"{side}_{name}" for side in ("left", "right") for name in ("base", "hand", "tool")}
+    assert {name for pair in clearances(arm.rerooted("tool")) for name in pair.split("-")} == {"base", "hand", "tool"}
+    tool = Link(joints.Revolute("e", (0.0, 0.0, 1.0)), None, np.eye(4), name="ball", shapes=[Sphere(0.1)])
+    both = arm.attach(Mechanism([tool], base="stand"), "rod")
+    assert {"ball", "hand"} <= {name for pair in clearances(both) for name in pair.split("-")}
+    (tmp_path / "both.urdf").write_text(both.to_urdf())
+    assert clearances(mechanics.load(tmp_path / "both.urdf")).keys() == clearances(both).keys()
+
+
+def test_geometry_that_cannot_be_read_is_an_error(tmp_path: Path) -> None:
+    arm = mechanics.load(path := written(tmp_path))
+    assert any("'tool'" in note and "<collision>" in note for note in arm.notes)
+    with pytest.raises(tx.ModelError, match=r"(?s)links 'tool' cannot be used.*arm/meshes/tool.obj") as caught:
+        clearances(arm)
+    folder = str(caught.value).partition("within='")[2].partition("'")[0]
+    assert folder == str(path.parents[1])
+    assert any("tool" in name for name in clearances(mechanics.load(path, within=folder)))
+    assert set(clearances(arm, {"hand": Sphere(0.1), "base": Sphere(0.1)})) == {"hand-base"}
+    for mesh, reason in (
+        ("", "<collision> of <collision>"),
+        ('<box size="1 2"/>', "3 finite numbers"),
+        (MESH.replace("tool", "gone"), "gone.obj"),
+    ):
+        with pytest.raises(tx.ModelError, match=reason):
+            clearances(mechanics.load(written(tmp_path, mesh), within=tmp_path))
+
+
+def test_collision_geometry_of_an_mjcf_file(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    text = """<mujoco><asset><mesh name="gone" file="gone.stl"/></asset><worldbody>
+      <geom type="plane" size="1 1 1"/>
+      <body name="a" pos="0 0 1"><joint/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+        <geom type="box" size="1 1 1" contype="0" conaffinity="0"/>
+        <geom type="sphere" size="0.1" group="3" rgba="0 0 0 0"/>
+      <body name="b" pos="0 0 1"><joint/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+        <geom type="box" size="1 1 1" contype="0" conaffinity="0"/>
+        <geom type="mesh" mesh="gone" contype="{kind}" conaffinity="0"/>
+      <body name="c" pos="0 0 1"><joint/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+        <geom type="sphere" size="0.2"/></body></body></body></worldbody></mujoco>"""
+    (tmp_path / "arm.xml").write_text(text.format(kind=0))
+    arm = mechanics.load(tmp_path / "arm.xml")
+    assert all(isinstance(shape, Box) for shape in (*arm.link("a").shapes, *arm.link("b").shapes))
+    gaps = evaluated(clearances(arm), {"q": np.zeros(3)})
+    assert {frozenset(name.split("-")): value for name, value in gaps.items()} == pytest.approx(
+        {frozenset(("a", "c")): 2.0 - 0.3, frozenset(("world", "c")): 3.0 - 0.2}
+    )
+    (tmp_path / "arm.xml").write_text(text.format(kind=1))
+    with pytest.raises(tx.ModelError, match="'b' cannot be used"):
+        clearances(mechanics.load(tmp_path / "arm.xml"))
