@@ -192,10 +192,10 @@ def _distances(corners: NDArray[np.float64], points: NDArray[np.float64]) -> NDA
     heights = points @ core.face_normals.T - core.face_offsets
     places = np.einsum("fij,kfj->kfi", core.face_duals, points[:, None] - core.faces[:, 0])
     above = (places >= 0.0).all(axis=2) & (places.sum(axis=2) <= 1.0)
-    start, along = core.edges[:, 0], core.edges[:, 1] - core.edges[:, 0]
+    start, edges = core.edges[:, 0], core.edges[:, 1] - core.edges[:, 0]
     w = points[:, None] - start
-    s = np.clip(np.sum(w * along, axis=2) / np.sum(along**2, axis=1), 0.0, 1.0)
-    to_edges = np.linalg.norm(w - s[..., None] * along, axis=2).min(axis=1)
+    s = np.clip(np.sum(w * edges, axis=2) / np.sum(edges**2, axis=1), 0.0, 1.0)
+    to_edges = np.linalg.norm(w - s[..., None] * edges, axis=2).min(axis=1)
     to_faces = np.where(above, np.abs(heights), np.inf).min(axis=1)
     is_corner = (points[:, None] == corners).all(axis=2).any(axis=1)
     return np.where((heights.max(axis=1) <= 0.0) | is_corner, 0.0, np.minimum(to_edges, to_faces))
