@@ -28,8 +28,8 @@ from .warm import WarmStart
 
 #: Ratios to the tolerance of a solve: the core's tolerance, its least barrier parameter, and the relaxation of bounds.
 _CLOSER, _LEAST = 0.1, 1e-3
-#: The same ratio for the relaxation of inequalities of problems with contacts. At rest on the ground the gap of a node is
-#: zero at each solution, and the next relaxation of complementarity has no interior. With a hundredth, as in IPOPT,
+#: The same ratio for the relaxation of inequalities of problems with contacts. At rest on the ground the gap of a node
+#: is zero at each solution, and the next relaxation of complementarity has no interior. With a hundredth, as in IPOPT,
 #: seventeen hops take 3,045 iterations instead of 31,572.
 _RELAXED = 1e-2
 #: The largest rotation of a step, rad, and the largest relative change of a duration. A larger decrease would move the
