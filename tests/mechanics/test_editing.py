@@ -1,5 +1,6 @@
 """Edits of mechanisms: the dynamics of what comes out against Pinocchio's edits, and against the mechanism before."""
 
+import pickle
 import re
 from pathlib import Path
 from typing import Any
@@ -201,6 +202,30 @@ def test_the_body_of_a_base_moves_once_it_is_attached(tmp_path: Path) -> None:
     turned = hand.rerooted("finger")
     assert turned.link("palm").body is hand.base_body
     assert turned.base_body is None
+    # Whatever else is done with the hand, its palm has its mass.
+    note = "the mass of 'palm', which has no effect while it does not move"
+    assert note in hand.notes
+    assert note not in ours.notes
+    assert note not in hand.with_inertia({"palm": None}).notes
+    load = SpatialInertia(mass=0.3, inertia=0.01 * np.eye(3))
+    palm = hand.base_body
+    assert palm is not None
+    (tmp_path / "hand.xml").write_text(hand.to_mjcf())
+    rod = hand.with_inertia({"palm": SpatialInertia(mass=1.0, inertia=np.diag([0.0, 0.0, 1.0]), physical=False)})
+    with pytest.raises(ModelError, match="base_body: of 'palm'"):
+        rod.to_mjcf()
+    assert 'name="palm"' in rod.to_mjcf(leave_out=["base_body"])
+    for other, mass in (
+        (pickle.loads(pickle.dumps(hand)), 0.5),
+        (hand.lock({"knuckle": 0.3}), 0.5),
+        (hand.renamed("left_").replace(gravity=np.zeros(3)), 0.5),
+        (mechanics.load(tmp_path / "hand.xml"), 0.5),
+        (hand.with_inertia({"palm": palm + load}), 0.8),
+        (hand.with_inertia({"palm": None}), 0.1),
+    ):
+        whole = panda().attach(other.renamed("a_"), "flange")
+        masses = evaluated([mechanics.total_mass(m) for m in (whole, panda())], {})
+        near(masses[0] - masses[1], mass)
 
 
 def test_two_mechanisms_on_one_base_keep_closures_motors_and_limits() -> None:

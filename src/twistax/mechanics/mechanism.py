@@ -57,8 +57,8 @@ class Mechanism(KinematicTree):
         collision: the solids of the base for `clearances`; None: its shapes.
         base_body: the body of the base. It has an effect only once the base moves, after `attach` or `rerooted`.
     Attributes:
-        links, gravity, driven, loops, loop_metric, base, shapes, collision: the arguments, with each link after its
-            parent and gravity as an expression.
+        links, gravity, driven, loops, loop_metric, base, shapes, collision, base_body: the arguments, with each link
+            after its parent and gravity as an expression.
         segments: the links after merging; see `Segment`.
         frames: all frames by name, with the segment of each.
         dofs: n.
@@ -76,14 +76,16 @@ class Mechanism(KinematicTree):
     @functools.cached_property
     def notes(self) -> tuple[str, ...]:
         """Remarks on the model, for example elements of a file that are ignored."""
-        if not self.redundant_closures:
-            return self._notes
-        rows = sum(loop.rows for loop in self.loops)
-        return (
-            *self._notes,
-            f"{self.redundant_closures} of {rows} loop constraints are redundant: "
-            "constraint wrenches are the minimum-norm solution",
-        )
+        notes = [*self._notes]
+        if self.base_body is not None:
+            notes.append(f"the mass of {self.base!r}, which has no effect while it does not move")
+        if self.redundant_closures:
+            rows = sum(loop.rows for loop in self.loops)
+            notes.append(
+                f"{self.redundant_closures} of {rows} loop constraints are redundant: "
+                "constraint wrenches are the minimum-norm solution"
+            )
+        return tuple(notes)
 
     def replace(self, *, drives: Mapping[str, Drive] | None = None, **changes: Any) -> Mechanism:
         """A copy with other drives, or with some of the constructor's arguments changed.
@@ -133,9 +135,9 @@ class Mechanism(KinematicTree):
         """A copy with another mechanism attached: the base of the other mechanism is fixed at a pose in a frame of this
         one.
 
-        The base of the other mechanism becomes a link of the same name. Loop constraints, motors, mimic joints and
-        shapes of both are kept. Gravity is that of this mechanism. If the frame is the base, the result contains two
-        separate robots. Its body is `base_body`, the root link of a file.
+        The base of the other mechanism becomes a link of the same name with the body `base_body`, that of the root link
+        of a file. Loop constraints, motors, mimic joints and shapes of both are kept. Gravity is that of this
+        mechanism. If the frame is the base, the result contains two separate robots.
 
         Args:
             other: the mechanism that is attached, such as a gripper.
@@ -177,7 +179,8 @@ class Mechanism(KinematicTree):
         added by +.
 
         Args:
-            bodies: bodies by link, in the frame of the link; None for a link without mass.
+            bodies: bodies by link, in the frame of the link; None for a link without mass. That of the base has no
+                effect while the base does not move.
         Raises: ModelError for an unknown link, or a value that is not a `SpatialInertia`.
         """
         return self.replace(**edits.with_inertia(self, bodies))
@@ -187,7 +190,7 @@ class Mechanism(KinematicTree):
 
         - If the old root is on a `Free` joint, that joint carries the new root: the motions are the same, with other
           coordinates. The same holds for the only link on the base, if it is on a `Fixed` joint.
-        - Else the base becomes a link without mass, the old root, and the new root is fixed to a new base, "world".
+        - Else the base becomes a link with the body `base_body`, and the new root is fixed to a new base, "world".
           Gravity keeps its numbers, which are then in the axes of the new root.
 
         Reversed joints keep their names, positions, limits and drives; a position on a group becomes its inverse. All
@@ -225,7 +228,7 @@ class Mechanism(KinematicTree):
         As `to_urdf`, with the additional features of MJCF: springs, armatures, gears, gravity, motors of some joints,
         and loop constraints of points and poses. MJCF cannot express speed limits, `AxisLoop`, `Planar`, `Helical` or
         `Cylindrical` joints, bodies without mass, or names of `Fixed` joints. The base is the world, with a site of the
-        base's name. Shapes do not collide.
+        base's name, or with a body of this name that has the mass of the base. Shapes do not collide.
 
         Args:
             name, leave_out: as for `to_urdf`.

@@ -228,10 +228,11 @@ def with_inertia(mechanism: KinematicTree, bodies: Mapping[str, SpatialInertia |
     """Implements `Mechanism.with_inertia`."""
     if not isinstance(bodies, Mapping):
         raise ModelError(f"Mechanism.with_inertia expects bodies by the names of links, got {short(bodies)}")
-    by_link = {mechanism.link(name).name: body for name, body in bodies.items()}
+    by_link = {carrier_of(mechanism, name): body for name, body in bodies.items()}
     return {
         "links": [
             dataclasses.replace(link, body=by_link[link.name]) if link.name in by_link else link
             for link in mechanism.links
-        ]
+        ],
+        "base_body": by_link.get(mechanism.base, mechanism.base_body),
     }

@@ -40,7 +40,7 @@ class Urdf:
         floating: whether the root is on a `Free` joint, "root".
         quarter_turns: an angle that differs from a multiple of a quarter turn by at most this, in rad, is rounded.
     Attributes:
-        links, base, gravity, driven, notes, shapes, collision, loops: for `Mechanism`.
+        links, base, gravity, driven, notes, shapes, collision, loops, base_body: for `Mechanism`.
     Raises: ModelError with file and line.
     """
 
@@ -62,10 +62,7 @@ class Urdf:
         self.links = list[Link]()
         if floating or alone:
             self.links.append(self._root(root, Free if floating else Fixed))
-        still = None if floating else self._body(root)
-        self.base_body = None if alone else still
-        if still is not None:
-            self.notes.append(f"the mass of {tree.root!r}, which has no effect while it does not move")
+        self.base_body = None if floating or alone else self._body(root)
         for joint in tree.joints.values():
             self.links += self._links(joint, None if floating else tree.root)
         if not any(link.joint.dofs for link in self.links):

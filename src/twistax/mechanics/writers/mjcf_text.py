@@ -43,11 +43,15 @@ class MjcfText:
         world = child(root, "worldbody")
         self._bodies = {mechanism.base: world}
         self._frames = set(mechanism.frames)
-        if mechanism.base != _WORLD:
-            if _WORLD in mechanism.frames:
-                raise ModelError(
-                    "to_mjcf: a link is named 'world', which is the name of the base in MJCF.\n  fix: use renamed(...)"
-                )
+        if mechanism.base != _WORLD and _WORLD in mechanism.frames:
+            raise ModelError(
+                "to_mjcf: a link is named 'world', which is the name of the base in MJCF.\n  fix: use renamed(...)"
+            )
+        if mechanism.base_body is not None:  # the world has no mass, so a body without children has that of the base
+            name = mechanism.base if mechanism.base != _WORLD else free_name("base", self._frames)
+            self._frames.add(name)
+            self._add_inertia(child(world, "body", name=name), name, mechanism.base_body, jointed=False)
+        elif mechanism.base != _WORLD:
             child(world, "site", name=mechanism.base)
         self._add_shapes(world, mechanism.base, mechanism.shapes)
         for link in self._children[mechanism.base]:
@@ -111,6 +115,9 @@ class MjcfText:
         small = min(moments[0], mass)
         too_small = small <= 0.0 if jointed else small < 0.0
         if too_small or moments[2] > (moments[0] + moments[1]) * (1.0 + _ROUND_OFF):
+            if body is self._mechanism.base_body:  # dynamics do not depend on it, so it may be omitted
+                self._losses.add("base_body", name)
+                return
             raise ModelError(
                 "to_mjcf: MuJoCo requires a positive mass, positive principal moments, and no principal "
                 f"moment above the sum of the other two, got {float(mass)} kg and {moments.tolist()} kg m2 of {of}.\n"

@@ -26,8 +26,8 @@ from ..tree import Link
 UNLIMITED = sys.float_info.max
 #: Kinds of features that may be omitted.
 _KINDS = (
-    "armature", "closures", "driven", "effort", "frames", "friction_speed", "gear", "gravity", "keep", "limits",
-    "loop_metric", "rest", "shapes", "speed", "stiffness",
+    "armature", "base_body", "closures", "driven", "effort", "frames", "friction_speed", "gear", "gravity", "keep",
+    "limits", "loop_metric", "rest", "shapes", "speed", "stiffness",
 )  # fmt: skip
 
 
