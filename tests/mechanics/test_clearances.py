@@ -1,16 +1,22 @@
 """Distances of the links of robots from files: their geometry, their pairs, and Pinocchio with Coal."""
 
+import importlib.util
+import itertools
 from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
 
+import jax
 import numpy as np
 import pytest
 
 import twistax as tx
 from evaluated import evaluated
 from twistax import mechanics
-from twistax.mechanics import Link, Mechanism, clearances, joints
+from twistax.mechanics import ConvexPolytope, Link, Mechanism, clearances, joints, signed_distance
 from twistax.view import Box, Sphere
 
+HAS_PINOCCHIO = importlib.util.find_spec("pinocchio") is not None
 URDF = """<robot name="arm">
   <link name="base"><collision><geometry><sphere radius="0.1"/></geometry></collision></link>
   <link name="rod">{inertial}</link>
@@ -86,6 +92,14 @@ def test_geometry_that_cannot_be_read_is_an_error(tmp_path: Path) -> None:
             clearances(mechanics.load(written(tmp_path, mesh), within=tmp_path))
 
 
+def test_fast_functions_call_the_search_once() -> None:
+    """The loops of the search are not parts of the function."""
+    hull = ConvexPolytope(np.random.default_rng(0).normal(size=(8, 3)))
+    gap = tx.lower(signed_distance(hull, Sphere(0.1), None, tx.State("T", (4, 4))))
+    parts = tx.fast(lambda T: gap(0.0, {"T": T})).explain(np.eye(4))
+    assert len(parts.splitlines()) == 1, parts
+
+
 def test_collision_geometry_of_an_mjcf_file(tmp_path: Path) -> None:
     pytest.importorskip("mujoco")
     text = """<mujoco><asset><mesh name="gone" file="gone.stl"/></asset><worldbody>
@@ -108,3 +122,95 @@ def test_collision_geometry_of_an_mjcf_file(tmp_path: Path) -> None:
     (tmp_path / "arm.xml").write_text(text.format(kind=1))
     with pytest.raises(tx.ModelError, match="'b' cannot be used"):
         clearances(mechanics.load(tmp_path / "arm.xml"))
+
+
+# ---- Pinocchio and Coal ----------------------------------------------------------------------------------------------
+
+SHARE = Path(importlib.util.find_spec("pinocchio").origin).parents[4] / "share" if HAS_PINOCCHIO else Path()
+ROBOTS = SHARE / "example-robot-data" / "robots"
+needs_robots = pytest.mark.skipif(not ROBOTS.is_dir(), reason="example-robot-data is not installed")
+
+
+def named(name: str) -> Path:
+    return next(ROBOTS.rglob(name))
+
+
+@needs_robots
+@pytest.mark.slow
+@pytest.mark.parametrize("path", sorted(ROBOTS.rglob("*.urdf")), ids=lambda path: path.stem)
+def test_links_with_collision_geometry_take_part(path: Path, unchecked: None) -> None:
+    if path.name in ("ur3.urdf", "alex_psyonic_hands.urdf"):  # not robots
+        return
+    links = [link for link in ElementTree.parse(path).getroot().findall("link") if link.findall("collision")]
+    expected = {link.attrib["name"]: len(link.findall("collision")) for link in links}
+    for within in (None, SHARE):
+        robot = mechanics.load(path, physical=False, within=within)
+        solids = {part.name: part.collision for part in robot.links} | {robot.base: robot.collision}
+        assert {name: len(of_link) for name, of_link in solids.items() if of_link} == expected
+        unread = {name for name, of_link in solids.items() if any(hasattr(s, "reason") for s in of_link or ())}
+        assert all(any(repr(name) in note for note in robot.notes if "<collision>" in note) for name in unread)
+        assert within is None or not unread
+
+
+@needs_robots
+@pytest.mark.thorough
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("name", ["panda", pytest.param("romeo", marks=pytest.mark.slow)])
+def test_pairs_of_an_srdf_file_as_pinocchio_has_them(name: str, unchecked: None) -> None:
+    import pinocchio as pin
+
+    path, srdf = named(f"{name}.urdf"), named(f"{name}.srdf")
+    robot = mechanics.load(path, physical=False)
+    model = pin.buildModelFromUrdf(str(path))
+    geometry = pin.buildGeomFromUrdf(model, str(path), pin.GeometryType.COLLISION, package_dirs=[str(SHARE)])
+    geometry.addAllCollisionPairs()
+    pin.removeCollisionPairs(model, geometry, str(srdf))
+    frames = [model.frames[part.parentFrame] for part in geometry.geometryObjects]
+
+    def joined(pair: Any) -> bool:
+        a, b = frames[pair.first].parentJoint, frames[pair.second].parentJoint
+        return bool(model.parents[a] == b or model.parents[b] == a)
+
+    left = [pair for pair in geometry.collisionPairs if not joined(pair)]
+    expected = {frozenset((frames[pair.first].name, frames[pair.second].name)) for pair in left}
+    balls = {frame.name: Sphere(0.1) for frame in frames}
+    pairs = clearances(robot, balls, srdf=srdf)
+    assert pairs.keys() <= {"-".join(pair) for pair in itertools.permutations(balls, 2)}
+    names = {"-".join(pair): frozenset(pair) for pair in itertools.permutations(balls, 2)}
+    assert {names[key] for key in pairs} == expected
+    assert len(expected) > 15
+
+
+@needs_robots
+@pytest.mark.thorough
+@pytest.mark.filterwarnings("ignore")
+def test_distances_of_a_panda_as_coal_has_them(unchecked: None) -> None:
+    import coal
+    import pinocchio as pin
+
+    path, links = named("panda.urdf"), ("panda_link0", "panda_link4", "panda_hand")
+    robot = mechanics.load(path, within=SHARE)
+    solids = {link.name: link.collision for link in robot.links} | {robot.base: robot.collision}
+    hulls = {name: ConvexPolytope(solids[name][0]) for name in links}
+    gaps = tx.lower(clearances(robot, hulls))
+    model = pin.buildModelFromUrdf(str(path))
+    geometry = pin.buildGeomFromUrdf(model, str(path), pin.GeometryType.COLLISION, package_dirs=[str(SHARE)])
+    parts = {model.frames[part.parentFrame].name: part for part in geometry.geometryObjects}
+    for name in links:
+        parts[name].geometry.buildConvexHull(True, "Qt")
+    data, request = model.createData(), coal.DistanceRequest(True)
+    request.gjk_tolerance = request.epa_tolerance = 1e-9
+    q = np.random.default_rng(0).uniform(model.lowerPositionLimit, model.upperPositionLimit, size=(50, 9))
+    every = jax.jit(jax.vmap(lambda q: gaps(0.0, {"q": q})))(q[:, :8])  # the second finger follows the first
+
+    def placed(name: str) -> tuple[Any, Any]:
+        T = data.oMi[parts[name].parentJoint] * parts[name].placement
+        return parts[name].geometry.convex, coal.Transform3s(T.rotation, T.translation)
+
+    for key, values in every.items():
+        first, second = key.split("-")
+        for row, value in zip(q, values, strict=True):
+            pin.forwardKinematics(model, data, row)
+            gap = coal.distance(*placed(first), *placed(second), request, coal.DistanceResult())
+            assert abs(float(value) - gap) < 1e-9
+    assert len(every) == 3

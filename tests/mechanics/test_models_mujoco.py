@@ -169,7 +169,7 @@ def test_what_is_not_used_is_said() -> None:
         "sensors: 1",
         "geoms that are not drawn, meshes and planes: 1",
         "an actuator of joint 'turn', whose force is not a linear function of control and motion",
-        "contacts of geoms: 6",
+        "contacts of geoms: 7",
         "dry friction of joints is smooth here, see Drive",
     )
     tau = machine.motors(machine.driven)

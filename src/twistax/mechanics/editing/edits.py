@@ -150,7 +150,7 @@ def attached(mechanism: KinematicTree, other: KinematicTree, frame: str | None, 
     joints = {link.joint.name for tree in (mechanism, other) for link in tree.links}
     mount = Fixed(free_name(f"{other.base} fixed", joints))
     parent = None if carrier == mechanism.base else carrier
-    solids = {"shapes": other.shapes, "collision": other.collision}
+    solids: dict[str, Any] = {"shapes": other.shapes, "collision": other.collision}
     base = Link(mount, other.base_body, T, parent=parent, name=other.base, **solids)
     links = [dataclasses.replace(link, parent=parent_of(other, link) or other.base) for link in other.links]
     if mechanism.loops and other.loops and mechanism.loop_metric != other.loop_metric:

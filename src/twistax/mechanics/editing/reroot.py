@@ -41,7 +41,7 @@ def rerooted(mechanism: KinematicTree, frame: str) -> Changes:
     if not (isinstance(top.joint, Free) or (isinstance(top.joint, Fixed) and alone)):
         # The base itself is the old root: it becomes a link, and the new base is called "world".
         old = mechanism.base
-        solids = {"shapes": mechanism.shapes, "collision": mechanism.collision}
+        solids: dict[str, Any] = {"shapes": mechanism.shapes, "collision": mechanism.collision}
         top = Link(Fixed(free_name("root", joints)), mechanism.base_body, _UNIT, name=old, **solids)
         path.append(top)
         joints.add(top.joint.name)

@@ -168,7 +168,7 @@ class Compiled:
         inside = [(len(name), element) for name, element in (*names, *self._opened.items()) if name and name in text]
         return max(inside, key=lambda pair: pair[0], default=(0, self._root))[1]
 
-    def _lighten(self, spec: Any, mujoco: Any, drawn: list[tuple[Any, DrawnMesh]]) -> None:
+    def _lighten(self, spec: Any, mujoco: Any, drawn: list[tuple[Any, DrawnMesh | None]]) -> None:
         """Remove elements that do not affect the dynamics, so that their meshes need not exist."""
         for kind, elements in (
             ("sensors", spec.sensors),

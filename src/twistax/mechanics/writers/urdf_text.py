@@ -46,7 +46,8 @@ def urdf_text(mechanism: KinematicTree, name: str, leave_out: Collection[str]) -
         losses.add("driven", "the mechanism")
     for kept in mechanism.arguments["keep"]:
         losses.add("keep", kept)
-    collides = any(part.collision is not None for part in (mechanism, *mechanism.links))
+    parts: list[Link | KinematicTree] = [mechanism, *mechanism.links]
+    collides = any(part.collision is not None for part in parts)
     _add_link(robot, losses, mechanism.base, mechanism.base_body, _solids(mechanism, collides))
     for link in mechanism.links:
         _add_link(robot, losses, link.name, link.body, _solids(link, collides))

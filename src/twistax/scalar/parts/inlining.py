@@ -18,13 +18,17 @@ _CALLS = {"jit": "jaxpr", "remat2": "jaxpr", "custom_jvp_call": "call_jaxpr", "c
 _SHORT = 16
 
 
-def inlined(program: ClosedJaxpr) -> ClosedJaxpr:
-    """The function with called functions inlined. Their custom derivatives are lost."""
-    if all(_called(eqn)[0] is None for eqn in program.jaxpr.eqns):
+def inlined(program: ClosedJaxpr, *, kernels: bool = True) -> ClosedJaxpr:
+    """The function with called functions inlined. Their custom derivatives are lost.
+
+    Args:
+        kernels: also functions that kernels call, whose loops would then be parts of this function.
+    """
+    if all(_called(eqn, kernels)[0] is None for eqn in program.jaxpr.eqns):
         return program
     avals: list[Any] = [v.aval for v in program.jaxpr.invars]
     shapes = (jax.ShapeDtypeStruct(a.shape, a.dtype) for a in avals)
-    return jax.make_jaxpr(functools.partial(_evaluate, program))(*shapes)
+    return jax.make_jaxpr(functools.partial(_evaluate, program, kernels=kernels))(*shapes)
 
 
 def unrolled(program: ClosedJaxpr) -> ClosedJaxpr:
@@ -47,24 +51,24 @@ def _iterated(eqn: Any, values: list[Any]) -> list[Any]:
     return [*state, *(jnp.stack(column) for column in zip(*rows, strict=True))]
 
 
-def _evaluate(program: ClosedJaxpr, *arguments: Any, unroll: bool = False) -> list[Any]:
+def _evaluate(program: ClosedJaxpr, *arguments: Any, unroll: bool = False, kernels: bool = True) -> list[Any]:
     jaxpr = program.jaxpr
     values = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*program.consts, *arguments], strict=True))
     for eqn in jaxpr.eqns:
-        inside, operands = _called(eqn)
+        inside, operands = _called(eqn, kernels)
         if unroll and eqn.primitive.name == "scan" and 0 < eqn.params["length"] <= _SHORT:
             outputs = _iterated(eqn, [value_of(v, values) for v in operands])
         elif inside is None:
             variables = list(dict.fromkeys(v for v in eqn.invars if not isinstance(v, Literal)))
             outputs = jaxpr_as_fun(alone(jaxpr, eqn, variables))(*(values[v] for v in variables))
         else:
-            outputs = _evaluate(inside, *(value_of(v, values) for v in operands), unroll=unroll)
+            outputs = _evaluate(inside, *(value_of(v, values) for v in operands), unroll=unroll, kernels=kernels)
         values.update(zip(eqn.outvars, outputs, strict=True))
     results: list[Any] = jaxpr.outvars
     return [value_of(v, values) for v in results]
 
 
-def _called(eqn: Any) -> tuple[ClosedJaxpr | None, list[Any]]:
+def _called(eqn: Any, kernels: bool) -> tuple[ClosedJaxpr | None, list[Any]]:
     """What an equation calls, and the operands of that; None: it is an operation, a loop or a branch."""
     name, p = eqn.primitive.name, eqn.params
     if name == "custom_linear_solve":
@@ -72,6 +76,8 @@ def _called(eqn: Any) -> tuple[ClosedJaxpr | None, list[Any]]:
         skip = counts.matvec + counts.vecmat
         return closed(p["jaxprs"].solve), [*eqn.invars[skip : skip + counts.solve], *eqn.invars[sum(counts) :]]
     inside = written_out(eqn)
+    if inside is not None and not kernels and getattr(p["program"], "inside_kernels", None) is not None:
+        return None, eqn.invars
     if inside is None:
         inside = closed(p[_CALLS[name]]) if name in _CALLS else expansion(eqn)
     return inside, eqn.invars

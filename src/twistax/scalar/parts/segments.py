@@ -77,7 +77,7 @@ class Segmented(ArrayProgram):
 
 def has_parts(program: ClosedJaxpr, backend: Backend) -> bool:
     """Whether a function has loops that are not unrolled, or batches."""
-    program = inlined(program)
+    program = inlined(program, kernels=False)
     if any(map(is_loop, program.jaxpr.eqns)):
         return True
     batch = _batch(program, backend)
@@ -86,7 +86,7 @@ def has_parts(program: ClosedJaxpr, backend: Backend) -> bool:
 
 def emit_segments(program: ClosedJaxpr, backend: Backend) -> tuple[Callable[..., list[jax.Array]], list[Reason]]:
     """The function that executes a jaxpr, and a reason for each of its parts."""
-    program = inlined(program)
+    program = inlined(program, kernels=False)
     jaxpr, has_loops, batch = program.jaxpr, any(map(is_loop, program.jaxpr.eqns)), _batch(program, backend)
     emission = None
     if not has_loops:
