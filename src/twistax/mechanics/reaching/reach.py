@@ -38,15 +38,18 @@ class ReachStatus(enum.IntEnum):
 
     - `REACHED`: all frames are at their targets within the tolerances, all tasks are satisfied, and all constraints
       hold.
-    - `LIMIT`: without joint limits the search from the best seed would have come nearer; `at_limit` marks these joints.
-    - `UNREACHABLE`: no joint limit keeps the search from the best seed from the target, as where an arm is stretched.
-      `distance` is what remains. If `slope` is small, it ended at a minimum of the distance; otherwise it reached the
-      limit of iterations.
+    - `LIMIT`: the best seed ended at a local minimum of the error within the joint limits, and without some of them the
+      error would decrease further; `at_limit` marks these joints.
+    - `UNREACHABLE`: every seed led to a local minimum of the error, and no joint limit keeps the best one from the
+      target, as where an arm is stretched. `distance` is what remains.
+    - `MAX_ITERATIONS`: a seed, or the best one, was not at a local minimum after the largest number of iterations, so
+      nothing is known about the target; more `iterations` decide it.
     """
 
     REACHED = 0
     LIMIT = 1
     UNREACHABLE = 2
+    MAX_ITERATIONS = 3
 
 
 @functools.partial(
@@ -64,11 +67,11 @@ class ReachResult:
         distance: (..., frames), m: distance from the origin of each frame to its target.
         angle: (..., frames), rad: angle between the axes of each frame and of its target; zero for targets that are
             positions.
-        at_limit: (..., n): the degrees of freedom that would reduce the error but are at a limit: those of which the
-            multiplier $|J_i^T e| / (|J| |e|)$ is not zero. One below ten times `slope` or below 1e-3 counts as zero.
-        slope: (...,): $|P J^T e| / (|J| |e|)$, with P the projection onto the directions that limits permit. It is zero
-            at a local minimum, and meaningless if the target is reached.
-        minima: (...,): the number of seeds that ended at a local minimum.
+        at_limit: (..., n): at a local minimum the degrees of freedom that would reduce the error but are at a limit:
+            those of which the multiplier $|J_i^T e| / (|J| |e|)$ is not zero. One below 1e-3 counts as zero.
+        slope: (...,): $|P J^T e| / (|J| |e|)$, with P the projection onto the directions that limits permit. It is at
+            most 1e-4 at a local minimum, and meaningless if the target is reached.
+        minima: (...,): the number of seeds that led to a local minimum.
         seeds: (...,): the number of seeds that were tried.
         constraints: (..., k): residuals of the constraints, satisfied if not positive.
         frames: names of the frames, in the order of the last axis of `distance`.
@@ -116,7 +119,7 @@ def reach(
     length: float = 0.3,
     position_tolerance: float = 1e-5,
     angle_tolerance: float = 1e-5,
-    iterations: int = 80,
+    iterations: int = 160,
 ) -> ReachResult:
     """Inverse kinematics within joint limits: joint positions for which frames reach target poses or positions.
 
@@ -124,7 +127,8 @@ def reach(
 
         $d = D J^T (J D J^T + mu 1)^-1 e$
 
-    where D is zero for joints at a limit. The search starts from successive seeds until one reaches the target. At the
+    where D is zero for joints at a limit. If 15 steps from a seed do not reach the target, a quasi-Newton method for large
+    residuals continues, so that searches of targets out of reach end at minima. The search starts from successive seeds until one reaches the target. At the
     first minimum of a seed, joints that are blocked by a limit move to the middle of their ranges, and the search
     continues. A seed is the best of some random candidates, which are the same in every call. All targets are computed
     in one kernel. The function works under `jit`, `vmap` and `grad`. Its derivatives are those of the nearest solution,
@@ -327,8 +331,11 @@ class _Reacher:
         # First-order conditions: a limit without a multiplier is not the cause.
         scale = jnp.sqrt(jnp.maximum(jnp.sum(J * J) * jnp.sum(e * e), np.finfo(e.dtype).tiny))
         multiplier = jnp.where(solution.free, 0.0, jnp.abs(J.T @ e) / scale)
-        at_limit = ~reached & (multiplier > _SIGNIFICANT * jnp.maximum(solution.slope, self._options.flat))
-        missed = jnp.where(jnp.any(at_limit), int(ReachStatus.LIMIT), int(ReachStatus.UNREACHABLE))
+        at_minimum = ~reached & (solution.slope <= self._options.flat)
+        at_limit = at_minimum & (multiplier > _SIGNIFICANT * self._options.flat)
+        certain = at_minimum & (solution.minima == self._seeds)
+        missed = jnp.where(certain, int(ReachStatus.UNREACHABLE), int(ReachStatus.MAX_ITERATIONS))
+        missed = jnp.where(jnp.any(at_limit), int(ReachStatus.LIMIT), missed)
         status = jnp.where(reached, int(ReachStatus.REACHED), missed)
         residuals = self.errors.constraints.values(x, {}, numbers["parameters"])
         measures = (solution.slope, solution.minima, solution.seeds, residuals)
