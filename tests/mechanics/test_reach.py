@@ -119,6 +119,7 @@ def test_searches_of_what_is_out_of_reach_end_at_minima() -> None:
         return 0.5 * (jnp.sum((goal[:3, 3] - X[:3, 3]) ** 2) + jnp.sum(turn**2))
 
     value = jax.jit(jax.value_and_grad(half_square))
+
     def gain(i: int, *released: int) -> float:
         q, free = np.asarray(result.x["q"][i]), np.isin(range(7), released)
         bounds = np.stack([np.where(free, -7.0, arm.q.min), np.where(free, 7.0, arm.q.max)], axis=1)

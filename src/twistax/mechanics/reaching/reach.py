@@ -127,12 +127,12 @@ def reach(
 
         $d = D J^T (J D J^T + mu 1)^-1 e$
 
-    where D is zero for joints at a limit. If 15 steps from a seed do not reach the target, a quasi-Newton method for large
-    residuals continues, so that searches of targets out of reach end at minima. The search starts from successive seeds until one reaches the target. At the
-    first minimum of a seed, joints that are blocked by a limit move to the middle of their ranges, and the search
-    continues. A seed is the best of some random candidates, which are the same in every call. All targets are computed
-    in one kernel. The function works under `jit`, `vmap` and `grad`. Its derivatives are those of the nearest solution,
-    $dx = J^+ de$, if the target is reached, and zero otherwise.
+    where D is zero for joints at a limit. If 15 steps from a seed do not reach the target, a quasi-Newton method for
+    large residuals continues, so that searches of targets out of reach end at minima. The search starts from successive
+    seeds until one reaches the target. At the first minimum of a seed, joints that are blocked by a limit move to the
+    middle of their ranges, and the search continues. A seed is the best of some random candidates, which are the same
+    in every call. All targets are computed in one kernel. The function works under `jit`, `vmap` and `grad`. Its
+    derivatives are those of the nearest solution, $dx = J^+ de$, if the target is reached, and zero otherwise.
 
     Additional `tasks` have the same priority as the targets. The error of a constraint $c(q) <= 0$ is $max(c, 0)$. Once
     all of these are satisfied, steps in their null space reduce the weighted errors of `secondary` tasks, to a local

@@ -21,8 +21,8 @@ from there: of 10,000 poses within the limits of a Panda, 8 seeds then miss 8 in
 Sources: K. Levenberg, Quarterly of Applied Mathematics 2 (1944); T. Sugihara, IEEE Transactions on Robotics 27 (2011),
 for damping proportional to |e|^2; C. Kanzow and others, J. of Computational and Applied Mathematics 172 (2004), for
 projected steps; J. Dennis, D. Gay, R. Welsch, An adaptive nonlinear least-squares algorithm, ACM Transactions on
-Mathematical Software 7 (1981), for S; B. Siciliano, J.-J. Slotine, A general framework for managing multiple tasks in highly redundant
-robotic systems, ICAR (1991), for secondary tasks.
+Mathematical Software 7 (1981), for S; B. Siciliano, J.-J. Slotine, A general framework for managing multiple tasks in
+highly redundant robotic systems, ICAR (1991), for secondary tasks.
 """
 
 from __future__ import annotations
@@ -190,8 +190,8 @@ class SeededSearch:
         )
 
     def _newton_step(self, s: ReachState, free: jax.Array, mu: jax.Array) -> jax.Array:
-        """The step with second derivatives. If it leaves the limits, these degrees of freedom end at them, and the others
-        are solved again.
+        """The step with second derivatives. Degrees of freedom that would leave their limits end at them, and the step of
+        the others is computed again.
         """
         unit = np.eye(len(free), dtype=s.e.dtype)
         H, slope = s.J.T @ s.J + s.curvature + mu * unit, s.J.T @ s.e
