@@ -205,9 +205,13 @@ def test_the_first_seed_is_the_start() -> None:
 
 
 def test_precision_is_that_of_the_target() -> None:
-    result = reach(planar_arm((-3.0, 3.0), (-3.0, 3.0)), {"tip": np.array([1.2, 0.3, 0.0], dtype=np.float32)})
+    arm, targets = (
+        planar_arm((-3.0, 3.0), (-3.0, 3.0)),
+        np.array([[1.2, 0.3, 0.0]] + [[4.0, k, 0.0] for k in range(8)]),
+    )
+    result = reach(arm, {"tip": targets.astype(np.float32)})
     assert result.x["q"].dtype == np.float32
-    assert result.status == ReachStatus.REACHED
+    assert np.asarray(result.status).tolist() == [ReachStatus.REACHED] + 8 * [ReachStatus.UNREACHABLE]
 
 
 def test_what_cannot_be_asked_for(unchecked: None) -> None:

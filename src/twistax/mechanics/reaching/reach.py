@@ -68,9 +68,10 @@ class ReachResult:
         angle: (..., frames), rad: angle between the axes of each frame and of its target; zero for targets that are
             positions.
         at_limit: (..., n): at a local minimum the degrees of freedom that would reduce the error but are at a limit:
-            those of which the multiplier $|J_i^T e| / (|J| |e|)$ is not zero. One below 1e-3 counts as zero.
+            those of which the multiplier $|J_i^T e| / (|J| |e|)$ is not zero. One below 1e-3 counts as zero, in float32
+            one below 7e-3.
         slope: (...,): $|P J^T e| / (|J| |e|)$, with P the projection onto the directions that limits permit. It is at
-            most 1e-4 at a local minimum, and meaningless if the target is reached.
+            most 1e-4 at a local minimum, in float32 7e-4, and meaningless if the target is reached.
         minima: (...,): the number of seeds that led to a local minimum.
         seeds: (...,): the number of seeds that were tried.
         constraints: (..., k): residuals of the constraints, satisfied if not positive.
@@ -331,8 +332,9 @@ class _Reacher:
         # First-order conditions: a limit without a multiplier is not the cause.
         scale = jnp.sqrt(jnp.maximum(jnp.sum(J * J) * jnp.sum(e * e), np.finfo(e.dtype).tiny))
         multiplier = jnp.where(solution.free, 0.0, jnp.abs(J.T @ e) / scale)
-        at_minimum = ~reached & (solution.slope <= self._options.flat)
-        at_limit = at_minimum & (multiplier > _SIGNIFICANT * self._options.flat)
+        flat = self._options.flat_in(e.dtype)
+        at_minimum = ~reached & (solution.slope <= flat)
+        at_limit = at_minimum & (multiplier > _SIGNIFICANT * flat)
         certain = at_minimum & (solution.minima == self._seeds)
         missed = jnp.where(certain, int(ReachStatus.UNREACHABLE), int(ReachStatus.MAX_ITERATIONS))
         missed = jnp.where(jnp.any(at_limit), int(ReachStatus.LIMIT), missed)

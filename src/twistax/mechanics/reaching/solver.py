@@ -66,6 +66,10 @@ class SearchOptions:
     first_share: float = 1e-2
     last_share: float = 1e-7
 
+    def flat_in(self, dtype: Any) -> float:
+        """`flat`, or in low precision the slope at which a step changes |e|^2 by less than its rounding."""
+        return max(self.flat, 2.0 * float(np.finfo(dtype).eps) ** 0.5)
+
 
 class SearchEnd(NamedTuple):
     """The best positions of all seeds for one target."""
@@ -147,7 +151,7 @@ class SeededSearch:
         """One step, or the start from the next seed."""
         options, count = self._options, next(iter(seeds.values())).shape[0]
         free, share = self._steepness(s.x, s.e, s.J)
-        minimum = share <= options.flat
+        minimum = share <= options.flat_in(share.dtype)
         over = minimum | (s.damping > options.most)
         turns = over & ~s.turned & ~jnp.all(free) & (s.step < options.iterations)
         ended = ~turns & (over | (s.step >= options.iterations))
@@ -190,8 +194,8 @@ class SeededSearch:
         )
 
     def _newton_step(self, s: ReachState, free: jax.Array, mu: jax.Array) -> jax.Array:
-        """The step with second derivatives. Degrees of freedom that would leave their limits end at them, and the step of
-        the others is computed again.
+        """The step with second derivatives. Degrees of freedom that would leave their limits end at them, and the step
+        of the others is computed again.
         """
         unit = np.eye(len(free), dtype=s.e.dtype)
         H, slope = s.J.T @ s.J + s.curvature + mu * unit, s.J.T @ s.e
