@@ -5,6 +5,7 @@ import pytest
 from scipy.linalg import expm
 
 import twistax as tx
+from compilations import compilations
 from twistax.estimation import ErrorStateKalman
 
 TIMES = np.array([0.2, 0.5, 0.6, 1.1])
@@ -51,6 +52,9 @@ def test_a_constant_rotation_is_the_same_at_all_times() -> None:
     # J_r(d) J_r(e)^-1 is the identity only where d = e, so the covariances agree exactly too.
     np.testing.assert_allclose(smoothed.P[:, :3, :3], np.broadcast_to(run.P[-1, :3, :3], (4, 3, 3)), atol=1e-12)
     assert np.isfinite(smoothed.P).all()
+    with compilations() as compiled:
+        run.smooth()
+    assert not compiled
 
 
 @pytest.mark.parametrize("seed", range(2))

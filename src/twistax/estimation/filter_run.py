@@ -174,10 +174,8 @@ class FilterRun:
     @watching("smooth")
     def smooth(self, smoother: RauchTungStriebel | FixedLagSmoother | None = None) -> Smoothed:
         """Estimates that also use later measurements, by default all of them, by `RauchTungStriebel()`. Traceable."""
-        smooth = functools.partial((smoother or RauchTungStriebel()).smooth, self.group)
-        for _ in range(self.ts.ndim - 1):
-            smooth = jax.vmap(smooth)
-        return smooth(self.ts, (self.xs, self.P), (self.prior_xs, self.prior_P, self.transitions))
+        prior = (self.prior_xs, self.prior_P, self.transitions)
+        return _smoothed(smoother or RauchTungStriebel(), self.group, self.ts, (self.xs, self.P), prior)
 
     @watching("observe")
     def observability(self, *, tolerance: float | None = None) -> Observability:
@@ -210,3 +208,12 @@ class FilterRun:
                 "degrees of freedom"
             )
         return "\n".join([*lines, str(self.observability())])
+
+
+@functools.partial(jax.jit, static_argnums=(0, 1))
+def _smoothed(smoother: RauchTungStriebel | FixedLagSmoother, group: Product, ts: Any, post: Any, prior: Any) -> Any:
+    """The smoothed states of a run or of runs along leading axes; equal smoothers of equal groups compile once."""
+    smooth = functools.partial(smoother.smooth, group)
+    for _ in range(ts.ndim - 1):
+        smooth = jax.vmap(smooth)
+    return smooth(ts, post, prior)

@@ -28,6 +28,7 @@ class Smoothed(NamedTuple):
     P: jax.Array
 
 
+@dataclasses.dataclass(frozen=True)
 class RauchTungStriebel:
     """The fixed-interval smoother: one backward pass over a filter's run.
 

@@ -7,9 +7,11 @@ from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
 import jax
+import jax.custom_batching
 import jax.numpy as jnp
 import numpy as np
 
+from ...errors import TrajectoryError
 from ...jax_inside import io_callback, is_tracing
 from ...system import name_of
 
@@ -40,11 +42,28 @@ def in_order(
             results = shapes and {name: jax.ShapeDtypeStruct(shape, dtype) for name, shape in shapes(self).items()}
             passed = [checked(self, _by_names(value)) for value in arguments]
             by_name = {name: checked(self, _by_names(value)) for name, value in options.items()}
-            return io_callback(back, results, passed, by_name, ordered=True)
+            run = lambda values: io_callback(back, results, *values, ordered=True)  # noqa: E731
+            return _alone(f"{type(self).__name__}.{method.__name__}", run)((passed, by_name))
 
         return call  # type: ignore[return-value]
 
     return decorate
+
+
+def _alone(name: str, function: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """A function that raises TrajectoryError where JAX batches or differentiates it."""
+
+    def refused(*_: Any) -> Any:
+        raise TrajectoryError(
+            f"{name} changes the plan of the controller, so jax.vmap and jax.grad do not support it.\n"
+            "  fix: use tx.trajectory.solution(problem), a function of the initial state with derivatives"
+        )
+
+    unbatched = jax.custom_batching.custom_vmap(function)
+    unbatched.def_vmap(refused)
+    constant = jax.custom_jvp(lambda values: unbatched(values))
+    constant.defjvp(refused)
+    return constant
 
 
 def _by_names(values: Any) -> Any:
