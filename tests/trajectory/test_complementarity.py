@@ -106,7 +106,7 @@ def test_ipopt_comes_to_the_same_hop_by_the_same_relaxations() -> None:
     pytest.importorskip("casadi")
     other = hopper().solve(mesh_tolerance=np.inf, solver=IPOPT())
     assert other.solved
-    np.testing.assert_allclose(other.cost, hop().cost, rtol=0.03)  # other patterns of contacts are as near
+    np.testing.assert_allclose(other.cost, hop().cost, rtol=1e-4)
     kept = hopper().solve(warm=hop(), mesh_tolerance=np.inf, solver=IPOPT())
     np.testing.assert_allclose(kept.cost, hop().cost, rtol=1e-6)
 
