@@ -13,7 +13,6 @@ import pytest
 from trajectory_systems import HEUN, spinning_ball
 
 import twistax as tx
-from twistax.errors import TrajectoryError
 from twistax.trajectory import Controller, Problem, Status
 
 LENGTH = 0.25
@@ -381,11 +380,6 @@ def test_calls_inside_of_a_program_are_those_outside() -> None:
         jax.jit(lambda p: inside.feedback({"p": p}))(1.0)
     with pytest.raises(tx.ShapeError, match=r"x\['p'\] expects shape \(\), got \(2,\)"):
         jax.jit(lambda p: inside.feedback({"p": p, "v": 0.0}))(jnp.ones(2))
-    control = lambda p: inside.feedback({"p": p, "v": 0.0})["u"]  # noqa: E731
-    batched = lambda p: jax.vmap(control)(jnp.array([p, p]))  # noqa: E731
-    for transformed in (jax.grad(control), jax.grad(jax.jit(control)), jax.jacfwd(control), batched):
-        with pytest.raises(TrajectoryError, match=r"(?s)\.feedback changes the plan.*tx\.trajectory\.solution"):
-            transformed(1.0)
 
 
 @pytest.mark.parametrize("copied", [lambda c: pickle.loads(pickle.dumps(c)), copy.deepcopy], ids=["pickle", "deepcopy"])

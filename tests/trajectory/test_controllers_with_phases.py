@@ -8,12 +8,15 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from test_controller import full
 from trajectory_systems import HEUN, spinning_ball
 
 import twistax as tx
+from twistax.errors import TrajectoryError
 from twistax.trajectory import Controller, Linear, Phase, Problem, Spline, Status
 
 LINEAR = Linear()
@@ -192,3 +195,12 @@ def test_phases_in_c_use_the_memory_that_the_header_states(tmp_path: Path) -> No
     check = tmp_path / "size.c"
     check.write_text(f'#include "loop.h"\ntypedef char exact[sizeof(loop_controller) == {size} ? 1 : -1];\nexact x;\n')
     subprocess.run(["gcc", "-c", str(check), "-o", str(tmp_path / "size.o")], check=True)
+
+
+def test_a_controller_is_neither_batched_nor_differentiated() -> None:
+    controller = Controller(two_burns())
+    thrust = lambda p: controller.feedback({"p": p, "v": 0.0, "m": 2.0})["F"]  # noqa: E731
+    batched = lambda p: jax.vmap(thrust)(jnp.array([p, p]))  # noqa: E731
+    for transformed in (jax.grad(thrust), jax.grad(jax.jit(thrust)), jax.jacfwd(thrust), batched):
+        with pytest.raises(TrajectoryError, match=r"(?s)\.feedback changes the plan.*tx\.trajectory\.solution"):
+            transformed(1.0)
