@@ -68,7 +68,8 @@ class Losses:
         known = known_value(value)
         if known is None:
             leaves = (leaf for leaf in leaves_of(to_expr(value)) if not isinstance(leaf, Constant))
-            if leaf := next((leaf for leaf in leaves if getattr(leaf, "value", None) is None), None):
+            leaf = next((leaf for leaf in leaves if getattr(leaf, "value", None) is None), None)
+            if leaf is not None:
                 raise ModelError(f"{self.owner}: {what} is {short(value)}, and {leaf!r} has no value")
             raise ModelError(f"{self.owner}: {what} is not a finite number: {short(value)}")
         return np.asarray(np.add(known, 0.0), dtype=np.float64)  # without negative zeros
