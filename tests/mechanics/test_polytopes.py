@@ -1,6 +1,7 @@
 """Distances of convex polytopes, of many pairs and on grids: closed forms, Coal, derivatives by differences."""
 
 import itertools
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from twistax.mechanics import (
     signed_distance,
     soft_minimum,
 )
+from twistax.scalar.targets.llvm.backend import KERNEL_EVENT
 from twistax.view import Box, Capsule, Mesh, Sphere
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -184,3 +186,64 @@ def test_what_has_no_distance(unchecked: None) -> None:
     for call, message in wrong:
         with pytest.raises((InputError, ModelError), match=message):
             call()
+
+
+# ---- many pairs ------------------------------------------------------------------------------------------------------
+
+
+def hulls(count: int) -> dict[str, ConvexPolytope]:
+    """Polytopes of 5, 9, 13, ... points, with a radius."""
+    rng = np.random.default_rng(7)
+    return {f"p{k}": ConvexPolytope(0.4 * rng.normal(size=(5 + 4 * k, 3)), 0.01 * k) for k in range(count)}
+
+
+def floating(names: Iterable[str]) -> Mechanism:
+    body = mechanics.SpatialInertia(mass=1.0, inertia=np.eye(3))
+    return Mechanism([Link(joints.Free(name), body, np.eye(4)) for name in names])
+
+
+@pytest.mark.thorough
+def test_many_pairs_share_a_search() -> None:
+    """Each distance is that of the pair alone: separate, overlapping, with boxes, segments and points."""
+    at = tx.pose(position=[0.1, 0.0, 0.2], quaternion=[0.8, 0.6, 0.0, 0.0])
+    solids, hull = hulls(2), ConvexPolytope(POINTS[0], at=at)
+    obstacles = {"hull": hull, "box": Box((0.5, 0.6, 0.3), at=at), "rod": Capsule(0.1, 0.9, at=at), "ball": Sphere(0.2)}
+    pairs = clearances(floating(solids), solids, obstacles)
+    frames, every = {name: tx.State(f"{name}_position", group=tx.SE3) for name in solids}, solids | obstacles
+    names = [name.split("-") for name in pairs]
+    alone = [signed_distance(every[a], every[b], frames.get(a), frames.get(b)) for a, b in names]
+    shared, separate = (tx.lower(tx.Stack(*some)) for some in (pairs.values(), alone))
+    weights = np.linspace(1.0, 2.0, len(alone))
+
+    def values_and_slopes(of: Any, dtype: Any) -> Any:
+        def one(T: Any) -> Any:
+            gaps = of(0.0, {f"{name}_position": T[k] for k, name in enumerate(solids)})
+            return gaps @ weights.astype(dtype), gaps
+
+        T = poses(60, 0.4)[0].reshape(30, 2, 4, 4).astype(dtype)
+        slopes, gaps = jax.jit(jax.vmap(jax.grad(one, has_aux=True)))(T)
+        return np.asarray(gaps), np.asarray(slopes)[..., :3, :]
+
+    gaps, slopes = values_and_slopes(shared, float)
+    expected, expected_slopes = values_and_slopes(separate, float)
+    assert len(alone) == 9
+    assert 20 < (gaps < 0.0).sum() < gaps.size - 20
+    np.testing.assert_allclose(gaps, expected, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(slopes, expected_slopes, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(values_and_slopes(shared, np.float32)[0], expected, rtol=0.0, atol=2e-6)
+
+
+def test_more_pairs_compile_no_search() -> None:
+    kernels = []
+    for count in (3, 5):
+        solids, made = hulls(count), list[str]()
+        x = {f"{name}_position": np.eye(4) for name in solids}
+
+        def listen(event: str, seconds: float, made: list[str] = made, **_: Any) -> None:
+            made.append(event)
+
+        jax.monitoring.register_event_duration_secs_listener(listen)
+        evaluated(clearances(floating(solids), solids), x)
+        jax.monitoring.unregister_event_duration_listener(listen)
+        kernels.append(made.count(KERNEL_EVENT))
+    assert 0 < kernels[1] == kernels[0]

@@ -14,7 +14,7 @@ three-dimensional space, IEEE Journal on Robotics and Automation 4 (1988); C. Er
 from __future__ import annotations
 
 import itertools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -55,7 +55,7 @@ class _Simplex(NamedTuple):
     ended: jax.Array
 
 
-def nearest_features(A: jax.Array, B: jax.Array, size: float) -> tuple[ClosestFeatures, jax.Array, jax.Array]:
+def nearest_features(A: jax.Array, B: jax.Array, size: Any) -> tuple[ClosestFeatures, jax.Array, jax.Array]:
     """The nearest corners, edges or faces of the convex hulls of points A (k, 3) and B (l, 3).
 
     Args:

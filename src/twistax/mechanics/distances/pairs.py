@@ -13,7 +13,7 @@ import numpy as np
 from ...checks import listed, number
 from ...errors import ModelError, TwistaxError
 from ...expr import Cond, Constant, Expr, LogSumExp, Min, Norm
-from ...expr.lie import Act
+from ...expr.lie import Act, Compose, Inverse
 from ...progress import watching
 from ...view import Cylinder, Mesh, Shape
 from ..algorithms.dynamics import checked
@@ -21,9 +21,14 @@ from ..kinematic_tree import KinematicTree
 from ..models.looks import FilePlane
 from ..models.xml_file import read_xml
 from ..tree import solids_of
+from .distance_grid import DistanceGrid
 from .polytope import ConvexPolytope
-from .signed_distance import Solid, signed_distance
+from .polytope_table import PolytopeTable
+from .signed_distance import Solid, placed_pair
 from .solids import HalfSpace, rounded
+
+#: From so many polytopes on, pairs share a search.
+_SEVERAL = 3
 
 Solids = Mapping[str, Solid | Iterable[Solid]]
 
@@ -71,13 +76,13 @@ def clearances(
         )
     places = {name: mechanism.frame(name).segment for name in by_frame} | dict.fromkeys(by_obstacle)
     skipped = {frozenset(pair) for pair in (*ignored, *(() if srdf is None else disabled_pairs(srdf)))}
-    distances = dict[str, Expr]()
+    distances, table = dict[str, Expr](), _table([*by_frame.values(), *by_obstacle.values()])
     for a, b in itertools.combinations([*by_frame, *by_obstacle], 2):
         if frozenset((a, b)) in skipped or not _may_touch(mechanism, places[a], places[b]):
             continue
         T_a, T_b = (mechanism.pose(name) if name in by_frame else None for name in (a, b))
         shapes = itertools.product(*({**by_frame, **by_obstacle}[name] for name in (a, b)))
-        pairs = [_distance(one, two, T_a, T_b, far) for one, two in shapes]
+        pairs = [_distance(one, two, T_a, T_b, far, table) for one, two in shapes]
         distances[f"{a}-{b}"] = functools.reduce(Min, pairs)
     if not distances:
         raise ModelError("clearances expects frames or obstacles that may collide, but all pairs are excluded")
@@ -160,9 +165,20 @@ def _may_touch(mechanism: KinematicTree, a: int | None, b: int | None) -> bool:
     return a != b and before[a] != b and before[b] != a
 
 
-def _distance(a: Solid, b: Solid, T_a: Expr | None, T_b: Expr | None, far: float | None) -> Expr:
+def _table(solids: Iterable[Iterable[Solid]]) -> PolytopeTable | None:
+    """The table of all solids that have one, if there are several polytopes."""
+    every = [solid for some in solids for solid in some if not isinstance(solid, (HalfSpace, DistanceGrid, Cylinder))]
+    if sum(isinstance(solid, ConvexPolytope) for solid in every) < _SEVERAL:
+        return None
+    return PolytopeTable(s if isinstance(s, ConvexPolytope) else rounded("clearances", s) for s in every)
+
+
+def _distance(
+    a: Solid, b: Solid, T_a: Expr | None, T_b: Expr | None, far: float | None, table: PolytopeTable | None
+) -> Expr:
     """The distance of two solids, or that of the spheres around them if these are far apart."""
-    exact = signed_distance(a, b, T_a, T_b)
+    pair, A, B = placed_pair("clearances", a, b, T_a, T_b)
+    exact = pair.distance(Compose(Inverse(A), B), table)
     if far is None or isinstance(a, HalfSpace) or isinstance(b, HalfSpace):
         return exact
     (c_a, r_a), (c_b, r_b) = _sphere(a), _sphere(b)

@@ -26,7 +26,7 @@ from ...scalar.fast import searched
 from ...view import Mesh
 from ..arguments import pose
 from .gjk import nearest_features
-from .separating_axes import least_depth
+from .separating_axes import Hull, least_depth
 from .solids import Core, Rounded
 
 
@@ -97,19 +97,11 @@ def distance(a: Core, b: Core) -> Callable[[Any], jax.Array]:
         of_inverse = distance(b, a)
         return lambda T: of_inverse(_inverse(jnp.asarray(T)))
 
-    def formula(T: jax.Array, features: _Features) -> jax.Array:
-        of_a, of_b, is_line, side = features
-        w = of_a - (of_b @ T[:3, :3].T + T[None, :3, 3])
-        e, f = w[1] - w[0], w[2] - w[0]
-        n = jnp.cross(e, f)
-        plane = jnp.where(side == 0.0, 1.0, n @ n)
-        line = jnp.where(is_line, e @ e, 1.0)
-        to_line = w[0] - jnp.where(is_line, (w[0] @ e) / line, 0.0) * e
-        return jnp.where(side == 0.0, root(to_line @ to_line), side * (n @ w[0]) / jnp.sqrt(plane)) - (
-            a.radius + b.radius
-        )
+    def search(T: jax.Array) -> NearestFeatures:
+        hulls = [jax.tree.map(lambda x: jnp.asarray(x, T.dtype), hull_of(core)) for core in (a, b)]
+        return features_of(lambda: (hulls[0], hulls[1]), hulls[0].corners, hulls[1].corners, T, size_of(a) + size_of(b))
 
-    return searched(functools.partial(_features, a, b), formula)
+    return searched(search, lambda T, features: distance_of(features, T) - (a.radius + b.radius))
 
 
 def _inverse(T: jax.Array) -> jax.Array:
@@ -117,7 +109,7 @@ def _inverse(T: jax.Array) -> jax.Array:
     return jnp.concatenate([jnp.concatenate([R.T, -(p @ R)[:, None]], axis=1), T[3:]])
 
 
-class _Features(NamedTuple):
+class NearestFeatures(NamedTuple):
     """The nearest features of two cores.
 
     Attributes:
@@ -132,17 +124,55 @@ class _Features(NamedTuple):
     side: jax.Array
 
 
-def _features(a: Core, b: Core, T: jax.Array) -> _Features:
+def hull_of(core: Core) -> Hull:
+    """The arrays of a core. Edges of a segment have no sides: their normals are zero."""
+    both, directions = core.edges, core.directions if len(core.edges) else np.zeros((0, 3))
+    return Hull(
+        core.corners,
+        (both[:, 0], both[:, 1]),
+        directions,
+        (core.sides[:, 0], core.sides[:, 1]),
+        core.normals,
+        core.offsets,
+        (core.planes[:, 0], core.planes[:, 1], core.planes[:, 2]),
+    )
+
+
+def size_of(core: Core) -> float:
+    """The largest coordinate of a corner."""
+    return float(np.abs(core.corners).max())
+
+
+def features_of(
+    hulls: Callable[[], tuple[Hull, Hull]], A: jax.Array, B: jax.Array, T: jax.Array, size: Any
+) -> NearestFeatures:
+    """The nearest features of two hulls, the second one at the pose T (3, 4) or (4, 4).
+
+    Args:
+        hulls: gives all arrays of both, which are read if they overlap.
+        A, B: their corners.
+        size: a length of the order of both.
+    """
     R, p = T[:3, :3], T[:3, 3]
-    size = float(np.abs(a.corners).max() + np.abs(b.corners).max())
-    points = jnp.asarray(a.corners, T.dtype), jnp.asarray(b.corners, T.dtype) @ R.T + p[None]
-    nearest, count, overlap = nearest_features(*points, size)
-    contact = jax.lax.cond(overlap, lambda: least_depth(a, b, R, p), lambda: nearest)
+    nearest, count, overlap = nearest_features(A, B @ R.T + p[None], size)
+    contact = jax.lax.cond(overlap, lambda: least_depth(*hulls(), R, p), lambda: nearest)
     count = jnp.where(overlap, 3, count)
     w = contact.a - contact.b
     normal = jnp.cross(w[1] - w[0], w[2] - w[0])
     side = jnp.where(count == 3, jnp.where(normal @ contact.n > 0.0, -1.0, 1.0), 0.0).astype(T.dtype)
-    return _Features(contact.a, (contact.b - p[None]) @ R, count == 2, side)
+    return NearestFeatures(contact.a, (contact.b - p[None]) @ R, count == 2, side)
+
+
+def distance_of(features: NearestFeatures, T: jax.Array) -> jax.Array:
+    """The signed distance () of the cores with these features, of which the second one is at T (3, 4) or (4, 4)."""
+    of_a, of_b, is_line, side = features
+    w = of_a - (of_b @ T[:3, :3].T + T[None, :3, 3])
+    e, f = w[1] - w[0], w[2] - w[0]
+    n = jnp.cross(e, f)
+    plane = jnp.where(side == 0.0, 1.0, n @ n)
+    line = jnp.where(is_line, e @ e, 1.0)
+    to_line = w[0] - jnp.where(is_line, (w[0] @ e) / line, 0.0) * e
+    return jnp.where(side == 0.0, root(to_line @ to_line), side * (n @ w[0]) / jnp.sqrt(plane))
 
 
 def root(square: jax.Array) -> jax.Array:

@@ -10,14 +10,13 @@ Source: D. Gregorius, The Separating Axis Test between Convex Polyhedra, Game De
 
 from __future__ import annotations
 
-import functools
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from .gjk import ClosestFeatures, at, farthest, place_of
-from .solids import Core
 
 #: Of the squared sine of edges that count as parallel.
 _PARALLEL = 1e-14
@@ -25,22 +24,35 @@ _PARALLEL = 1e-14
 _NONE = -1e30
 
 
+class Hull(NamedTuple):
+    """Arrays of a `Core`: corners (v, 3), of edges the ends, directions and normals of both sides (e, 3), of faces the
+    normals (g, 3), offsets (g,) and three corners (g, 3).
+    """
+
+    corners: Any
+    edges: tuple[Any, Any]
+    directions: Any
+    sides: tuple[Any, Any]
+    normals: Any
+    offsets: Any
+    planes: tuple[Any, Any, Any]
+
+
 class _Gap(NamedTuple):
     gap: jax.Array
     contact: ClosestFeatures
 
 
-def least_depth(a: Core, b: Core, R: jax.Array, p: jax.Array) -> ClosestFeatures:
+def least_depth(a: Hull, b: Hull, R: jax.Array, p: jax.Array) -> ClosestFeatures:
     """The features with the greatest gap; a has faces, and b, at the pose (R, p), may be a point or a segment."""
-    constant = functools.partial(jnp.asarray, dtype=R.dtype)
-    A, B = constant(a.corners), constant(b.corners) @ R.T + p[None]
-    contacts = [_of_faces(constant(a.normals), constant(a.offsets), constant(a.planes), B)]
+    A, B = a.corners, b.corners @ R.T + p[None]
+    contacts = [_of_faces(a.normals, a.offsets, a.planes, B)]
     if len(b.normals):
-        normals = constant(b.normals) @ R.T
-        planes = constant(b.planes).reshape(-1, 3) @ R.T + p[None]
-        gap, reverse = _of_faces(normals, constant(b.offsets) + normals @ p, planes.reshape(-1, 3, 3), A)
+        normals = b.normals @ R.T
+        planes = [corners @ R.T + p[None] for corners in b.planes]
+        gap, reverse = _of_faces(normals, b.offsets + normals @ p, planes, A)
         contacts.append(_Gap(gap, ClosestFeatures(reverse.b, reverse.a, -reverse.n)))
-    if len(b.edges):
+    if len(b.directions):
         contacts.append(_of_edges(a, b, R, p))
     best = contacts[0]
     for other in contacts[1:]:
@@ -49,7 +61,7 @@ def least_depth(a: Core, b: Core, R: jax.Array, p: jax.Array) -> ClosestFeatures
     return best.contact
 
 
-def _of_faces(normals: jax.Array, offsets: jax.Array, planes: jax.Array, points: jax.Array) -> _Gap:
+def _of_faces(normals: jax.Array, offsets: jax.Array, planes: Sequence[jax.Array], points: jax.Array) -> _Gap:
     """The face of A with the greatest gap to the points of B."""
 
     def face(_: None, plane: tuple[jax.Array, jax.Array]) -> tuple[None, jax.Array]:
@@ -57,18 +69,18 @@ def _of_faces(normals: jax.Array, offsets: jax.Array, planes: jax.Array, points:
 
     gaps = jax.lax.scan(face, None, (normals, offsets))[1]
     place = place_of(gaps == jnp.max(gaps))
-    n, corners = (at(x, place) for x in (normals, planes))
-    return _Gap(jnp.max(gaps), ClosestFeatures(corners, jnp.broadcast_to(farthest(points, -n)[None], (3, 3)), n))
+    n, *corners = (at(x, place) for x in (normals, *planes))
+    return _Gap(
+        jnp.max(gaps), ClosestFeatures(jnp.stack(corners), jnp.broadcast_to(farthest(points, -n)[None], (3, 3)), n)
+    )
 
 
-def _of_edges(a: Core, b: Core, R: jax.Array, p: jax.Array) -> _Gap:
+def _of_edges(a: Hull, b: Hull, R: jax.Array, p: jax.Array) -> _Gap:
     """The pair of edges with the greatest gap, among those that form a face of the Minkowski difference."""
-    constant = functools.partial(jnp.asarray, dtype=R.dtype)
-    of_a = tuple(map(constant, (a.edges[:, 0], a.directions, a.sides[:, 0], a.sides[:, 1])))
-    ends = constant(b.edges).reshape(-1, 3) @ R.T + p[None]
-    ends = ends.reshape(-1, 2, 3)
-    start, e = ends[:, 0], constant(b.directions) @ R.T
-    C, D = (-constant(b.sides[:, k]) @ R.T for k in (0, 1))
+    of_a = (a.edges[0], a.directions, *a.sides)
+    start, end = (points @ R.T + p[None] for points in b.edges)
+    e = b.directions @ R.T
+    C, D = (-normals @ R.T for normals in b.sides)
 
     def edge(_: None, one: Any) -> tuple[None, tuple[jax.Array, jax.Array]]:
         q, d, A, B = one
@@ -88,9 +100,9 @@ def _of_edges(a: Core, b: Core, R: jax.Array, p: jax.Array) -> _Gap:
     gaps, places = jax.lax.scan(edge, None, of_a)[1]
     i = place_of(gaps == jnp.max(gaps))
     q, d, A, B = (at(x, i) for x in of_a)
-    other = at(constant(a.edges)[:, 1], i)
+    other = at(a.edges[1], i)
     j = at(places, i)
-    of_b = at(ends, j)
+    of_b = at(start, j), at(end, j)
     n = jnp.cross(d, at(e, j))
     n = jnp.where(n @ (A + B) < 0.0, -n, n)
     n = n / jnp.sqrt(jnp.where(n @ n > 0.0, n @ n, 1.0))

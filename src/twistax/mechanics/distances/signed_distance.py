@@ -38,6 +38,7 @@ from .cylinder import cylinder_to_core, over_plane
 from .cylinder_pair import cylinder_to_cylinder
 from .distance_grid import DistanceGrid
 from .polytope import ConvexPolytope, core_of, distance
+from .polytope_table import PolytopeTable
 from .solids import HalfSpace, Rounded, rounded
 
 #: For edges whose squared sine is smaller, corners are as near as the edges.
@@ -92,8 +93,12 @@ class Pair:
     b: Any
     swapped: bool
 
-    def distance(self, T: Expr) -> Expr:
-        """The signed distance () if T is the pose of b in the frame of a."""
+    def distance(self, T: Expr, table: PolytopeTable | None = None) -> Expr:
+        """The signed distance () if T is the pose of b in the frame of a.
+
+        Args:
+            table: None, or has both solids if one of them is a polytope and none is a cylinder.
+        """
         a, b = self.a, self.b
         if isinstance(b, DistanceGrid):
             return b.value(-(T[:3, :3].T @ T[:3, 3])) - a.radius
@@ -101,6 +106,8 @@ class Pair:
             return -Dot(T[:3, 2], T[:3, 3]) - self._reach(T[:3, 2])
         if isinstance(a, Rounded) and isinstance(b, Rounded):
             return _apart(a, b, T)
+        if table is not None and not isinstance(a, Cylinder):
+            return table.distance(a, b, T)
         return Function(self.of_arrays(), (), name="signed_distance")(T)
 
     def of_arrays(self) -> Callable[[Any], Any]:
