@@ -164,7 +164,7 @@ def features_of(
 
 
 def distance_of(features: NearestFeatures, T: jax.Array) -> jax.Array:
-    """The signed distance () of the cores with these features, of which the second one is at T (3, 4) or (4, 4)."""
+    """The signed distance () of cores with these features, the second core at the pose T (3, 4) or (4, 4)."""
     of_a, of_b, is_line, side = features
     w = of_a - (of_b @ T[:3, :3].T + T[None, :3, 3])
     e, f = w[1] - w[0], w[2] - w[0]

@@ -100,7 +100,7 @@ class _Table:
 
 
 def _padded(arrays: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Arrays of several lengths as one, with copies of the first entries, or zeros where there are none."""
+    """Arrays of several lengths as one, padded with copies of the first entry; an empty array is padded with zeros."""
     length = max(map(len, arrays))
     first = [a[:1] if len(a) else np.zeros((1, *a.shape[1:])) for a in arrays]
     copies = [np.repeat(row, length - len(a), axis=0) for row, a in zip(first, arrays)]
