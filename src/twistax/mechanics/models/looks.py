@@ -180,7 +180,7 @@ def looks_of_mjcf(
     model: Any, mujoco: Any, rotation: Callable[[Any], NDArray[np.float64]], drawn: Mapping[int, DrawnMesh | None]
 ) -> tuple[dict[int, dict[str, Any]], int]:
     """The shapes of every body, by its index and in its axes: those that MuJoCo draws, or else the hidden ones. The
-    solids for distances are the geoms that may collide (contype or conaffinity); None if there are none.
+    solids for distances are the geoms that may collide (contype or conaffinity); None for a file without such geoms.
 
     Args:
         model: a `mujoco.MjModel`.
