@@ -202,12 +202,8 @@ def floating(names: Iterable[str]) -> Mechanism:
 
 
 AT = tx.pose(position=[0.1, 0.0, 0.2], quaternion=[0.8, 0.6, 0.0, 0.0])
-HULL, BOX, ROD, BALL = (
-    ConvexPolytope(POINTS[0], at=AT),
-    Box((0.5, 0.6, 0.3), at=AT),
-    Capsule(0.1, 0.9, at=AT),
-    Sphere(0.2),
-)
+HULL, BOX = ConvexPolytope(POINTS[0], at=AT), Box((0.5, 0.6, 0.3), at=AT)
+ROD, BALL = Capsule(0.1, 0.9, at=AT), Sphere(0.2)
 
 
 @pytest.mark.thorough
