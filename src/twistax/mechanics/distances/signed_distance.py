@@ -104,10 +104,10 @@ class Pair:
             return b.value(-(T[:3, :3].T @ T[:3, 3])) - a.radius
         if isinstance(b, HalfSpace):
             return -Dot(T[:3, 2], T[:3, 3]) - self._reach(T[:3, 2])
-        of_boxes = isinstance(a, Rounded) and isinstance(b, Rounded)
-        # The formula of two boxes has a thousand operations, and that of a capsule or a ball is faster than a search.
-        if of_boxes and (table is None or min(len(a.directions), len(b.directions)) < 3):
-            return _apart(a, b, T)
+        if isinstance(a, Rounded) and isinstance(b, Rounded):
+            # The formula of two boxes has a thousand operations, that of a capsule or a ball is faster than a search.
+            if table is None or min(len(a.directions), len(b.directions)) < 3:
+                return _apart(a, b, T)
         if table is not None and not isinstance(a, Cylinder):
             return table.distance(a, b, T)
         return Function(self.of_arrays(), (), name="signed_distance")(T)
