@@ -214,3 +214,20 @@ def test_distances_of_a_panda_as_coal_has_them(unchecked: None) -> None:
             gap = coal.distance(*placed(first), *placed(second), request, coal.DistanceResult())
             assert abs(float(value) - gap) < 1e-9
     assert len(every) == 3
+
+
+@needs_robots
+@pytest.mark.slow
+def test_slopes_of_all_distances_of_a_panda(unchecked: None) -> None:
+    """Fingers have parallel faces, of whose nearest features rounding chooses one: the kernel passes its self-test."""
+    gaps = tx.lower(tx.Stack(*clearances(mechanics.load(named("panda.urdf"), within=SHARE)).values()))
+
+    def of(q: jax.Array) -> Any:
+        return gaps(0.0, {"q": q})
+
+    q = np.array([0.1, 0.4, -0.2, -1.9, 0.3, 2.0, 0.8, 0.02])
+    slopes = tx.fast(jax.jacrev(of))(q)
+    steps = 1e-6 * np.eye(len(q))
+    expected = np.stack([np.asarray(of(q + step) - of(q - step)) / 2e-6 for step in steps], axis=1)
+    assert slopes.shape == (42, 8)
+    np.testing.assert_allclose(slopes, expected, rtol=0.0, atol=1e-8)

@@ -6,7 +6,7 @@ with JAX 0.10, 0.11 and 0.12.
 
 from jax.experimental import io_callback, jet
 from jax.extend.backend import backends
-from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, Primitive, jaxpr_as_fun
+from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, Primitive, Var, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir
 
 from .meshes import is_shared_out, on_axes, shared_out

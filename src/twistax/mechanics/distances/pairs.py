@@ -15,7 +15,7 @@ from ...errors import ModelError, TwistaxError
 from ...expr import Cond, Constant, Expr, LogSumExp, Min, Norm
 from ...expr.lie import Act, Compose, Inverse
 from ...progress import watching
-from ...view import Cylinder, Mesh, Shape
+from ...view import Box, Cylinder, Mesh, Shape
 from ..algorithms.dynamics import checked
 from ..kinematic_tree import KinematicTree
 from ..models.looks import FilePlane
@@ -27,7 +27,7 @@ from .polytope_table import PolytopeTable
 from .signed_distance import Solid, placed_pair
 from .solids import HalfSpace, rounded
 
-#: From so many polytopes on, pairs share a search.
+#: From so many polytopes and boxes on, pairs share a search.
 _SEVERAL = 3
 
 Solids = Mapping[str, Solid | Iterable[Solid]]
@@ -166,9 +166,9 @@ def _may_touch(mechanism: KinematicTree, a: int | None, b: int | None) -> bool:
 
 
 def _table(solids: Iterable[Iterable[Solid]]) -> PolytopeTable | None:
-    """The table of all solids that have one, if there are several polytopes."""
+    """The table of all solids that have one, if there are several polytopes or boxes."""
     every = [solid for some in solids for solid in some if not isinstance(solid, (HalfSpace, DistanceGrid, Cylinder))]
-    if sum(isinstance(solid, ConvexPolytope) for solid in every) < _SEVERAL:
+    if sum(isinstance(solid, (ConvexPolytope, Box)) for solid in every) < _SEVERAL:
         return None
     return PolytopeTable(s if isinstance(s, ConvexPolytope) else rounded("clearances", s) for s in every)
 

@@ -97,7 +97,7 @@ class Pair:
         """The signed distance () if T is the pose of b in the frame of a.
 
         Args:
-            table: None, or has both solids if one of them is a polytope and none is a cylinder.
+            table: None, or has both solids if neither is a cylinder, a half-space or a grid.
         """
         a, b = self.a, self.b
         if isinstance(b, DistanceGrid):
@@ -105,7 +105,9 @@ class Pair:
         if isinstance(b, HalfSpace):
             return -Dot(T[:3, 2], T[:3, 3]) - self._reach(T[:3, 2])
         if isinstance(a, Rounded) and isinstance(b, Rounded):
-            return _apart(a, b, T)
+            # The formula of two boxes has a thousand operations, that of a capsule or a ball is faster than a search.
+            if table is None or min(len(a.directions), len(b.directions)) < 3:
+                return _apart(a, b, T)
         if table is not None and not isinstance(a, Cylinder):
             return table.distance(a, b, T)
         return Function(self.of_arrays(), (), name="signed_distance")(T)

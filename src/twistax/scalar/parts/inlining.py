@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Iterable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 
-from ...jax_inside import ClosedJaxpr, Literal, alone, closed, expansion, jaxpr_as_fun, scan_parts
+from ...jax_inside import ClosedJaxpr, Literal, Var, alone, closed, expansion, jaxpr_as_fun, part, scan_parts
 from ..array_primitive import written_out
 
 #: Calls that are inlined once derivatives are taken.
@@ -24,18 +25,47 @@ def inlined(program: ClosedJaxpr, *, kernels: bool = True) -> ClosedJaxpr:
     Args:
         kernels: also functions that kernels call, whose loops would then be parts of this function.
     """
-    if all(_called(eqn, kernels)[0] is None for eqn in program.jaxpr.eqns):
+    jaxpr = program.jaxpr
+    if all(_called(eqn, kernels)[0] is None for eqn in jaxpr.eqns):
         return program
-    avals: list[Any] = [v.aval for v in program.jaxpr.invars]
-    shapes = (jax.ShapeDtypeStruct(a.shape, a.dtype) for a in avals)
-    return jax.make_jaxpr(functools.partial(_evaluate, program, kernels=kernels))(*shapes)
+    eqns: list[Any] = []
+    constants: dict[int, tuple[Var, Any]] = {}
+    outputs = _copied(program, jaxpr.invars, eqns, constants, kernels)
+    return part(jaxpr, eqns, jaxpr.invars, outputs, dict(constants.values()))
+
+
+def _copied(
+    program: ClosedJaxpr, inputs: Iterable[Any], eqns: list[Any], constants: dict[int, tuple[Var, Any]], kernels: bool
+) -> list[Any]:
+    """Append the equations of a function to others, with new variables.
+
+    Args:
+        inputs: variables and numbers in place of its arguments.
+        constants: by identity, the variables of those met so far.
+    Returns:
+        Variables and numbers in place of its results.
+    """
+    jaxpr = program.jaxpr
+    new: dict[Any, Any] = dict(zip(jaxpr.invars, inputs, strict=True))
+    for v, value in zip(jaxpr.constvars, program.consts, strict=True):
+        new[v] = constants.setdefault(id(value), (Var(v.aval), value))[0]
+    for eqn in jaxpr.eqns:
+        inside, operands = _called(eqn, kernels)
+        values = [v if isinstance(v, Literal) else new[v] for v in operands]
+        if inside is None:
+            outputs: list[Any] = [Var(v.aval) for v in eqn.outvars]
+            eqns.append(eqn.replace(invars=values, outvars=outputs))
+        else:
+            outputs = _copied(inside, values, eqns, constants, kernels)
+        new.update(zip(eqn.outvars, outputs, strict=True))
+    return [v if isinstance(v, Literal) else new[v] for v in jaxpr.outvars]
 
 
 def unrolled(program: ClosedJaxpr) -> ClosedJaxpr:
     """The function with its short loops unrolled, too, such as those over the stages of a method."""
     avals: list[Any] = [v.aval for v in program.jaxpr.invars]
     shapes = (jax.ShapeDtypeStruct(a.shape, a.dtype) for a in avals)
-    return jax.make_jaxpr(functools.partial(_evaluate, program, unroll=True))(*shapes)
+    return jax.make_jaxpr(functools.partial(_evaluate, program))(*shapes)
 
 
 def _iterated(eqn: Any, values: list[Any]) -> list[Any]:
@@ -46,23 +76,22 @@ def _iterated(eqn: Any, values: list[Any]) -> list[Any]:
     rows: list[Any] = [None] * length
     for k in reversed(range(length)) if eqn.params["reverse"] else range(length):
         at = [a[k] for a in values[fixed + carried :]]
-        results = _evaluate(body, *values[:fixed], *state, *at, unroll=True)
+        results = _evaluate(body, *values[:fixed], *state, *at)
         state, rows[k] = results[:carried], results[carried:]
     return [*state, *(jnp.stack(column) for column in zip(*rows, strict=True))]
 
 
-def _evaluate(program: ClosedJaxpr, *arguments: Any, unroll: bool = False, kernels: bool = True) -> list[Any]:
+def _evaluate(program: ClosedJaxpr, *arguments: Any) -> list[Any]:
+    """The results, with calls inlined and short loops unrolled."""
+    program = inlined(program)
     jaxpr = program.jaxpr
     values = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*program.consts, *arguments], strict=True))
     for eqn in jaxpr.eqns:
-        inside, operands = _called(eqn, kernels)
-        if unroll and eqn.primitive.name == "scan" and 0 < eqn.params["length"] <= _SHORT:
-            outputs = _iterated(eqn, [value_of(v, values) for v in operands])
-        elif inside is None:
+        if eqn.primitive.name == "scan" and 0 < eqn.params["length"] <= _SHORT:
+            outputs = _iterated(eqn, [value_of(v, values) for v in eqn.invars])
+        else:
             variables = list(dict.fromkeys(v for v in eqn.invars if not isinstance(v, Literal)))
             outputs = jaxpr_as_fun(alone(jaxpr, eqn, variables))(*(values[v] for v in variables))
-        else:
-            outputs = _evaluate(inside, *(value_of(v, values) for v in operands), unroll=unroll, kernels=kernels)
         values.update(zip(eqn.outvars, outputs, strict=True))
     results: list[Any] = jaxpr.outvars
     return [value_of(v, values) for v in results]

@@ -104,7 +104,7 @@ class InKernels(ABC):
 
     @abstractmethod
     def plain(self, arguments: Sequence[Any]) -> list[Any]:
-        """All results without the kernel, for rows of arguments."""
+        """All results for rows of arguments, without JAX. No kernel is made for it."""
 
 
 @dataclasses.dataclass(frozen=True)
