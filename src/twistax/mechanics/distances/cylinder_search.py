@@ -21,7 +21,7 @@ from .polytope import root
 from .rim import RimIntervals, rim_intervals, rim_normal, sign_change, unit
 from .solids import Core
 
-#: A height above a face that is zero by rounding, relative to the radius; by which triangles of a face overlap.
+#: A distance that is zero by rounding, relative to the radius; by which triangles of a face overlap.
 _TOUCHING, _SEAM = 1e-12, 1e-13
 #: The gap and the height of features that do not exist.
 _FAR = 1e12
@@ -64,7 +64,7 @@ def nearest_feature(radius: float, height: float, core: Core, T: jax.Array) -> F
     outside = _apart(placed)
     n = outside.n
     gap = jnp.min(placed.corners @ n) - reach(radius, height, n[None])[0]
-    best = jax.lax.cond(gap > 0.0, lambda: outside, lambda: _deepest(placed))
+    best = jax.lax.cond(gap > _TOUCHING * radius, lambda: outside, lambda: _deepest(placed))
     flags = (jnp.arange(6) == best.kind).astype(T.dtype)
     return Feature((best.corner - p) @ R, best.edge @ R, best.normal @ R, best.n, flags)
 

@@ -28,10 +28,11 @@ import numpy as np
 
 from ...checks import short
 from ...errors import ModelError
-from ...expr import Abs, Constant, Cross, Dot, Expr, Max, Min, Sqrt, Where
+from ...expr import Abs, Constant, Cross, Dot, Expr, Max, Min, Sqrt, State, Where
 from ...expr.fields import ExprLike
 from ...expr.functions.function import Function
 from ...expr.lie import Compose, Inverse
+from ...system.lower import lower
 from ...view import Cylinder, Shape, Sphere
 from ..arguments import pose
 from .cylinder import cylinder_to_core, over_plane
@@ -111,12 +112,14 @@ class Pair:
         return Function(self.of_arrays(), (), name="signed_distance")(T)
 
     def of_arrays(self) -> Callable[[Any], Any]:
-        """The signed distance () of two bounded solids as a function of an array T (4, 4)."""
-        if isinstance(self.a, Cylinder) and isinstance(self.b, Cylinder):
-            return cylinder_to_cylinder(self.a, self.b)
-        if isinstance(self.a, Cylinder):
-            return cylinder_to_core(self.a, core_of(self.b))
-        return distance(core_of(self.a), core_of(self.b))
+        """The signed distance () as a function of an array T (4, 4)."""
+        a, b = self.a, self.b
+        if isinstance(b, (HalfSpace, DistanceGrid)) or not (_has_volume(a) or _has_volume(b)):
+            lowered = lower(self.distance(State("T", (4, 4))))
+            return lambda T: lowered(0.0, {"T": T})
+        if isinstance(a, Cylinder):
+            return cylinder_to_cylinder(a, b) if isinstance(b, Cylinder) else cylinder_to_core(a, core_of(b))
+        return distance(core_of(a), core_of(b))  # this compiles faster than the expression
 
     def _reach(self, n: Expr) -> Expr:
         """The extent of a along -n, a unit vector in its frame."""
@@ -138,6 +141,8 @@ def placed_pair(owner: str, a: Solid, b: Solid, T_a: ExprLike | None, T_b: ExprL
     swapped = isinstance(a, (HalfSpace, DistanceGrid)) or (isinstance(b, Cylinder) and not isinstance(a, Cylinder))
     if isinstance(a, Cylinder) and isinstance(b, Cylinder):
         swapped = a.radius > b.radius
+    if isinstance(a, HalfSpace) and isinstance(b, HalfSpace):
+        raise ModelError(f"{owner} expects at most one HalfSpace, got two: half-spaces have no distance")
     first, second = (b, a) if swapped else (a, b)
     if isinstance(second, DistanceGrid):
         one: Any = rounded(owner, first) if isinstance(first, Sphere) else None
@@ -155,6 +160,10 @@ def placed_pair(owner: str, a: Solid, b: Solid, T_a: ExprLike | None, T_b: ExprL
     return Pair(one, two, swapped), Compose(A, Constant(one.at)), B
 
 
+def _has_volume(solid: Rounded | ConvexPolytope | Cylinder) -> bool:
+    return not isinstance(solid, Rounded) or len(solid.directions) == 3
+
+
 def _core(owner: str, solid: Solid) -> Rounded | ConvexPolytope | Cylinder:
     return solid if isinstance(solid, (ConvexPolytope, Cylinder)) else rounded(owner, solid)
 
@@ -165,7 +174,7 @@ def _apart(a: Rounded, b: Rounded, T: Expr) -> Expr:
     squares = [_to_core(Constant(b.corners) @ R.T + p[None], a), _to_core((Constant(a.corners) - p[None]) @ R, b)]
     squares += [_between_edges(a, b, i, j, R, p) for i in a.directions for j in b.directions]
     distance = Sqrt(functools.reduce(Min, [_least(values) for values in squares]))
-    if max(len(a.directions), len(b.directions)) < 3:  # without volume they do not overlap
+    if not (_has_volume(a) or _has_volume(b)):  # then they do not overlap
         return distance - (a.radius + b.radius)
     depth = _separation(a, b, R, p)
     return Where(depth > 0.0, distance, depth) - (a.radius + b.radius)
