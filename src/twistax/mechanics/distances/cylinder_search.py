@@ -222,8 +222,10 @@ def _of_corners(placed: _Placed) -> _Candidate:
     def corner(_: None, n: jax.Array) -> tuple[None, jax.Array]:
         return None, jnp.min(flat @ n)
 
-    gaps = jax.lax.scan(corner, None, n)[1] - placed.radius
-    gaps = jnp.where(jnp.abs(n[:, 2]) > 0.5, -_FAR, gaps)
+    # In this direction the corner is the nearest one, and not another on the same line.
+    heights, nearest = jnp.sum(flat * n, axis=1), jax.lax.scan(corner, None, n)[1]
+    is_nearest = (heights <= nearest + _TOUCHING * placed.radius) & (jnp.abs(n[:, 2]) < 0.5)
+    gaps = jnp.where(is_nearest, nearest - placed.radius, -_FAR)
     i = place_of(gaps == jnp.max(gaps))
     return placed.candidate(jnp.max(gaps), 4, at(n, i), corner=at(placed.corners, i))
 
