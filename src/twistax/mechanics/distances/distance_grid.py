@@ -16,15 +16,15 @@ from ..arguments import pose
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class DistanceGrid:
-    """Signed distances of a solid at the points of a grid, such as those of a scanned room.
+    r"""Signed distances of a solid at the points of a grid, such as those of a scanned room.
 
     Between points, `tx.tables.BSpline()` gives two continuous derivatives. The error of `tx.tables.Linear()` is at most
     half of the diagonal of a cell, $|h| / 2$, because the gradient of a distance has at most the length 1.
 
-    Outside of the grid, at a distance r from the nearest point of its border, where the value is $\\phi$, the value is
-    $\\sqrt{\\phi^2 + r^2}$ if $\\phi \\ge 0$, and otherwise $\\phi + r$. It is continuous, and increases with r, so that an
-    optimiser that starts there has a gradient. If $\\phi \\ge 0$, it is a lower bound of the distance to a solid that is
-    within the grid: the grid is convex, so the angle at the border between both ways is obtuse.
+    Outside of the grid, at a distance r from the nearest point of its border, where the value is $\phi$, the value is
+    $\sqrt{\phi^2 + r^2}$ if $\phi \ge 0$, and otherwise $\phi + r$. It is continuous and increases with r, so that
+    an optimiser that starts there has a gradient. If $\phi \ge 0$, it is a lower bound of the distance to a solid that
+    is within the grid, because the grid is convex.
 
     Attributes:
         axes: three arrays of coordinates, increasing, m, in the frame of the grid.

@@ -141,7 +141,9 @@ def _pairs_of_names(pairs: Iterable[tuple[str, str]], known: Mapping[str, str]) 
     result = set()
     for pair in pairs:
         if isinstance(pair, str) or not isinstance(pair, Collection) or len(pair) != 2:
-            raise ModelError(f"clearances: ignored expects pairs of names, such as [('hand', 'table')], got {short(pair)}")
+            raise ModelError(
+                f"clearances: ignored expects pairs of names, such as [('hand', 'table')], got {short(pair)}"
+            )
         for name in pair:
             if name not in known:
                 raise ModelError(

@@ -60,7 +60,7 @@ def witness_points(a: Solid, b: Solid, T_a: ExprLike | None = None, T_b: ExprLik
 
     With the gradient of the signed distance with respect to translations of b, n, and to rotations, m, the points are
     $p_a = n \times m + h_a(n)\, n$ and $p_b = p_a + d n$, where $h_a$ is the support function of a. If several pairs of
-    points are nearest, as for parallel faces, the result is one of these pairs or a mean of several. Derivatives are
+    points are nearest, as for parallel faces, the result is one of these pairs. Derivatives are
     exact away from changes of the nearest features. Points and normal are not determined where a point or a segment
     meets the core of the other solid, such as the centres of two spheres: there the normal may be zero, but nothing is
     NaN.

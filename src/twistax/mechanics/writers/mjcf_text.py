@@ -148,8 +148,8 @@ class MjcfText:
             if key not in shapes:
                 geom["group"] = _HIDDEN
             rgba = text([*(part / 255.0 for part in shape.color), shape.opacity])
-            touches = str(int(key in solids))
-            child(element, "geom", **geom, rgba=rgba, mass="0", contype=touches, conaffinity=touches, **_placed(shape.at))
+            collides = dict.fromkeys(("contype", "conaffinity"), str(int(key in solids)))
+            child(element, "geom", **geom, rgba=rgba, mass="0", **collides, **_placed(shape.at))
 
     def _geom(self, shape: Shape) -> dict[str, str] | None:
         """The type and size of a geom; None if MJCF has none for the shape."""
