@@ -26,7 +26,7 @@ from twistax.mechanics import (
     signed_distance,
     soft_minimum,
 )
-from twistax.view import Box, Capsule, Mesh, Sphere
+from twistax.view import Box, Capsule, Cylinder, Mesh, Sphere
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 POINTS = np.random.default_rng(5).normal(size=(2, 14, 3)) * 0.35
@@ -191,23 +191,22 @@ def test_a_grid_of_distances() -> None:
 
 def test_outside_of_a_grid_the_distance_is_a_lower_bound_with_a_slope() -> None:
     axes = [np.linspace(-0.6, 0.6, 25), np.linspace(-0.5, 0.7, 25), np.linspace(-0.6, 0.8, 29)]
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-    grid = DistanceGrid(axes, np.linalg.norm(points, axis=-1) - 0.4, at=tx.pose(position=[0.3, 0.0, 0.1]))
+    table = np.linalg.norm(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1), axis=-1) - 0.4  # of a ball
+    grid = DistanceGrid(axes, table, tx.tables.Linear(), at=tx.pose(position=[0.3, 0.0, 0.1]))
     ball = tx.lower(signed_distance(grid, Sphere(0.1), None, tx.State("T", (4, 4))))
-    value = lambda p: ball(0.0, {"T": jax.numpy.eye(4).at[:3, 3].set(p)})  # noqa: E731
-    p = np.random.default_rng(2).uniform(-4.0, 4.0, size=(200, 3))
-    away = p - [0.3, 0.0, 0.1]
+    border = np.array([[0.9 + 1e-9, 0.2, 0.3], [0.9 - 1e-9, 0.2, 0.3]])
+    T = np.tile(np.eye(4), (202, 1, 1))
+    T[:, :3, 3] = np.concatenate([np.random.default_rng(2).uniform(-4.0, 4.0, size=(200, 3)), border])
+    d, slopes = map(np.asarray, jax.jit(jax.vmap(jax.value_and_grad(lambda T: ball(0.0, {"T": T}))))(T))
+    away = T[:, :3, 3] - [0.3, 0.0, 0.1]
+    exact, n = np.linalg.norm(away, axis=1) - 0.5, away / np.linalg.norm(away, axis=1)[:, None]
     outside = (np.abs(away - [0.0, 0.1, 0.1]) > [0.6, 0.6, 0.7]).any(axis=1)
     assert outside.sum() > 150
-    d, slopes = map(np.asarray, jax.jit(jax.vmap(jax.value_and_grad(value)))(p[outside]))
-    exact = np.linalg.norm(away[outside], axis=1) - 0.5
-    assert (d <= exact + 1e-3).all()  # the error of the table
-    assert (d > 0.5 * exact).all()
-    assert np.linalg.norm(slopes, axis=1).max() < 1.01
-    outward = np.sum(slopes * away[outside], axis=1) / np.linalg.norm(away[outside], axis=1)
-    assert outward.min() > 0.2
-    border = np.array([0.9, 0.2, 0.3])
-    np.testing.assert_allclose(value(border + 1e-9), value(border - 1e-9), atol=1e-8)
+    assert (d <= exact + 2e-3)[outside].all()  # the error of the table
+    assert (d > 0.5 * exact)[outside].all()
+    assert np.linalg.norm(slopes[:, :3, 3], axis=1)[outside].max() < 1.05
+    assert np.sum(slopes[:, :3, 3] * n, axis=1)[:200][outside[:200]].min() > 0.2
+    np.testing.assert_allclose(*d[-2:], atol=1e-8)
 
 
 def test_what_has_no_distance(unchecked: None) -> None:
@@ -300,17 +299,27 @@ def test_many_pairs_share_a_search() -> None:
     np.testing.assert_allclose(values_and_slopes(shared, np.float32)[0], expected, rtol=0.0, atol=2e-6)
 
 
+def kernels_of(solids: dict[str, Any], obstacles: dict[str, Any]) -> int:
+    """The number of kernels that the distances of floating solids compile."""
+    made = list[str]()
+
+    def listen(event: str, seconds: float, **_: Any) -> None:
+        made.append(event)
+
+    pairs = clearances(floating(solids), solids, obstacles)
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    evaluated(pairs, {f"{name}_position": np.eye(4) for name in solids})
+    jax.monitoring.unregister_event_duration_listener(listen)
+    return made.count("/twistax/kernel")
+
+
 def test_more_pairs_compile_no_search() -> None:
-    kernels = []
-    for count in (3, 5):
-        solids, made = hulls(count), list[str]()
-        x = {f"{name}_position": np.eye(4) for name in solids}
+    few, many = (kernels_of(hulls(count), {}) for count in (3, 5))
+    assert 0 < many == few
 
-        def listen(event: str, seconds: float, made: list[str] = made, **_: Any) -> None:
-            made.append(event)
 
-        jax.monitoring.register_event_duration_secs_listener(listen)
-        evaluated(clearances(floating(solids), solids), x)
-        jax.monitoring.unregister_event_duration_listener(listen)
-        kernels.append(made.count("/twistax/kernel"))
-    assert 0 < kernels[1] == kernels[0]
+@pytest.mark.thorough
+def test_cylinders_of_one_size_share_a_search() -> None:
+    rods = {name: Capsule(0.1, 0.3, at=tx.pose(position=[x, 0.0, 0.0])) for name, x in (("a", 1.0), ("b", 2.0))}
+    few, many = (kernels_of({name: rods[name] for name in names}, {"can": Cylinder(0.2, 0.5)}) for names in ("a", "ab"))
+    assert 0 < many == few

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Hashable, Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ import numpy as np
 from ...checks import instance, listed, number, path_of, short
 from ...errors import ModelError, TwistaxError
 from ...expr import Cond, Constant, Expr, LogSumExp, Min, Norm
+from ...expr.functions.function import Function
 from ...expr.lie import Act, Compose, Inverse
 from ...progress import watching
 from ...view import Cylinder, Mesh, Shape
@@ -90,12 +91,13 @@ def clearances(
     if srdf is not None:
         skipped |= _disabled_pairs(srdf, mechanism)
     distances, table = dict[str, Expr](), _table([*by_frame.values(), *by_obstacle.values()])
+    functions = dict[Hashable, Function]()
     for a, b in itertools.combinations([*by_frame, *by_obstacle], 2):
         if frozenset((frames[a], frames[b])) in skipped or not _may_touch(mechanism, places[a], places[b]):
             continue
         T_a, T_b = (mechanism.pose(name) if name in by_frame else None for name in (a, b))
         shapes = itertools.product(*({**by_frame, **by_obstacle}[name] for name in (a, b)))
-        pairs = [_distance(one, two, T_a, T_b, far, table) for one, two in shapes]
+        pairs = [_distance(one, two, T_a, T_b, far, table, functions) for one, two in shapes]
         name = f"{a}-{b}"
         distances[name] = functools.reduce(Min, ([distances[name]] if name in distances else []) + pairs)
     if not distances:
@@ -226,11 +228,17 @@ def _table(solids: Iterable[Iterable[Solid]]) -> PolytopeTable | None:
 
 
 def _distance(
-    a: Solid, b: Solid, T_a: Expr | None, T_b: Expr | None, far: float | None, table: PolytopeTable | None
+    a: Solid,
+    b: Solid,
+    T_a: Expr | None,
+    T_b: Expr | None,
+    far: float | None,
+    table: PolytopeTable | None,
+    functions: dict[Hashable, Function],
 ) -> Expr:
     """The distance of two solids, or that of the spheres around them if these are far apart."""
     pair, A, B = placed_pair("clearances", a, b, T_a, T_b)
-    exact = pair.distance(Compose(Inverse(A), B), table)
+    exact = pair.distance(Compose(Inverse(A), B), table, functions)
     if far is None or isinstance(a, _UNBOUNDED) or isinstance(b, _UNBOUNDED):
         return exact
     (c_a, r_a), (c_b, r_b) = _sphere(a), _sphere(b)

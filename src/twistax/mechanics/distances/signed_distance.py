@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -94,11 +94,14 @@ class Pair:
     b: Any
     swapped: bool
 
-    def distance(self, T: Expr, table: PolytopeTable | None = None) -> Expr:
+    def distance(
+        self, T: Expr, table: PolytopeTable | None = None, functions: dict[Hashable, Function] | None = None
+    ) -> Expr:
         """The signed distance () if T is the pose of b in the frame of a.
 
         Args:
             table: None, or has both solids if one of them is a polytope and none is a cylinder.
+            functions: None, or the functions of previous pairs, which pairs of equal solids share; a new one is added.
         """
         a, b = self.a, self.b
         if isinstance(b, DistanceGrid):
@@ -109,7 +112,10 @@ class Pair:
             return _apart(a, b, T)
         if table is not None and not isinstance(a, Cylinder):
             return table.distance(a, b, T)
-        return Function(self.of_arrays(), (), name="signed_distance")(T)
+        functions, key = {} if functions is None else functions, (_key(a), _key(b))
+        if key not in functions:
+            functions[key] = Function(self.of_arrays(), (), name="signed_distance")
+        return functions[key](T)
 
     def of_arrays(self) -> Callable[[Any], Any]:
         """The signed distance () as a function of an array T (4, 4)."""
@@ -158,6 +164,13 @@ def placed_pair(owner: str, a: Solid, b: Solid, T_a: ExprLike | None, T_b: ExprL
     A, B = poses[::-1] if swapped else poses
     B = B if isinstance(two, DistanceGrid) else Compose(B, Constant(two.at))  # a grid includes its pose
     return Pair(one, two, swapped), Compose(A, Constant(one.at)), B
+
+
+def _key(solid: Rounded | ConvexPolytope | Cylinder) -> Hashable:
+    """Equal for solids of the same size, which differ at most in their poses."""
+    if isinstance(solid, Cylinder):
+        return solid.radius, solid.length
+    return id(solid) if isinstance(solid, ConvexPolytope) else (solid.half.tobytes(), solid.radius)
 
 
 def _has_volume(solid: Rounded | ConvexPolytope | Cylinder) -> bool:
