@@ -223,7 +223,6 @@ def test_what_has_no_distance(unchecked: None) -> None:
         (lambda: DistanceGrid([np.arange(4.0)] * 3, np.ones((4, 4))), "shape"),
         (lambda: clearances(mechanics.chain_models.equal_links(2)), "links with collision geometry"),
         (lambda: clearances(mechanics.chain_models.equal_links(2), {"joint1": Sphere(0.1)}), "all pairs are excluded"),
-        (lambda: signed_distance(HalfSpace(), HalfSpace()), "at most one HalfSpace, got two"),
         (lambda: clearances(floating("ab"), balls, far=-1.0), "far must be a distance"),
         (lambda: clearances(floating("ab"), {"a": Sphere(0.1), "b": []}), "got none for 'b'"),
         (lambda: clearances(floating("ab"), [Sphere(0.1)]), "solids by name"),  # type: ignore[arg-type]
