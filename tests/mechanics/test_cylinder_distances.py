@@ -91,6 +91,8 @@ def test_closed_forms() -> None:
             (turned("y", eighth, 0.0, 0.0, 1.5), 1.5 - (0.55 + 0.2) * slant - 0.4),  # edge above an end
             (turned("y", eighth, 1.5, 0.0, 0.0), 1.5 - (0.55 + 0.2) * slant - 0.3),
             (turned("x", 0.0, 0.3 + 0.2 + 0.3, 0.0, 0.4 + 0.55 + 0.4), 0.5),  # edge beside a rim
+            (turned("x", 0.0, 0.2, 0.35, 0.1), -0.3),  # an edge on the axis
+            (turned("x", 0.0, 0.2 + 0.1, 0.35, 0.1), 0.1 - 0.3),
         ],
         "cylinder": [
             (turned("x", 0.0, 0.0, 0.0, 1.0), 1.0 - 0.4 - 0.15),

@@ -26,7 +26,7 @@ from twistax.mechanics import (
     signed_distance,
     soft_minimum,
 )
-from twistax.view import Box, Capsule, Mesh, Sphere
+from twistax.view import Box, Capsule, Cylinder, Mesh, Sphere
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 POINTS = np.random.default_rng(5).normal(size=(2, 14, 3)) * 0.35
@@ -129,9 +129,21 @@ def test_pairs_of_a_mechanism(tmp_path: Path) -> None:
     links = ["joint0-joint2", "joint0-joint3", "joint1-joint3", "base-joint1", "base-joint2", "base-joint3"]
     assert set(pairs) == {*links, *(f"joint{i}-wall" for i in range(4))}
     file = tmp_path / "arm.srdf"
-    file.write_text('<robot name="a"><disable_collisions link1="joint3" link2="joint0" reason="Never"/></robot>')
+    file.write_text(
+        """<robot name="a"><disable_collisions link1="joint3" link2="joint0" reason="Never"/>
+        <disable_collisions link1="joint3" link2="camera"/></robot>"""
+    )
     left = clearances(arm, every, ignored=[("base", "joint1")], srdf=file)
     assert set(left) == {*links} - {"joint0-joint3", "base-joint1"}
+    file.write_text('<robot name="a"><group name="all"/></robot>')
+    assert set(clearances(arm, every, srdf=file)) == {*links}
+    for text, message in (
+        ('<disable_collisions link1="hand" link2="base"/>', "another robot: the mechanism has no frames 'hand'; it"),
+        ('<link name="base"/>', "a URDF file"),
+    ):
+        file.write_text(f'<robot name="a">{text}</robot>')
+        with pytest.raises(ModelError, match=message):
+            clearances(arm, every, srdf=file)
     x = {"q": np.array([0.3, -0.7, 1.1, 0.4])}
     exact = evaluated(pairs, x)
     broad = evaluated(clearances(arm, every, {"wall": Box((0.1, 1.0, 1.0), at=(2.0, 0.0, 0.0))}, far=0.1), x)
@@ -140,6 +152,17 @@ def test_pairs_of_a_mechanism(tmp_path: Path) -> None:
     least, soft = min(exact.values()), evaluated(soft_minimum(pairs, 0.02), x)
     assert least - 0.02 * np.log(len(pairs)) <= soft <= least
     assert soft < least - 1e-6
+
+
+def test_pairs_with_one_name() -> None:
+    """No pair is lost if names contain hyphens: "a-b" with "c", and "a" with "b-c"."""
+    solids = {name: Sphere(0.1) for name in ("a", "a-b", "b-c", "c")}
+    pairs = clearances(floating(solids), solids)
+    x = {f"{name}_position": tx.pose(position=[at, 0.0, 0.0]) for name, at in zip(solids, (0.0, 5.0, 8.0, 9.0))}
+    for far, at in ((4.0, 3.0), (8.0, 7.0)):
+        x["c_position"] = tx.pose(position=[5.0 + far, 0.0, 0.0])
+        x["b-c_position"] = tx.pose(position=[at, 0.0, 0.0])
+        assert np.isclose(evaluated(pairs["a-b-c"], x), min(far, at) - 0.2)
 
 
 def test_the_shapes_of_links_are_pairs() -> None:
@@ -166,7 +189,28 @@ def test_a_grid_of_distances() -> None:
         assert off[exact > 0.0].max() < 0.02
 
 
+def test_outside_of_a_grid_the_distance_is_a_lower_bound_with_a_slope() -> None:
+    axes = [np.linspace(-0.6, 0.6, 25), np.linspace(-0.5, 0.7, 25), np.linspace(-0.6, 0.8, 29)]
+    table = np.linalg.norm(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1), axis=-1) - 0.4  # of a ball
+    grid = DistanceGrid(axes, table, tx.tables.Linear(), at=tx.pose(position=[0.3, 0.0, 0.1]))
+    ball = tx.lower(signed_distance(grid, Sphere(0.1), None, tx.State("T", (4, 4))))
+    border = np.array([[0.9 + 1e-9, 0.2, 0.3], [0.9 - 1e-9, 0.2, 0.3]])
+    T = np.tile(np.eye(4), (202, 1, 1))
+    T[:, :3, 3] = np.concatenate([np.random.default_rng(2).uniform(-4.0, 4.0, size=(200, 3)), border])
+    d, slopes = map(np.asarray, jax.jit(jax.vmap(jax.value_and_grad(lambda T: ball(0.0, {"T": T}))))(T))
+    away = T[:, :3, 3] - [0.3, 0.0, 0.1]
+    exact, n = np.linalg.norm(away, axis=1) - 0.5, away / np.linalg.norm(away, axis=1)[:, None]
+    outside = (np.abs(away - [0.0, 0.1, 0.1]) > [0.6, 0.6, 0.7]).any(axis=1)
+    assert outside.sum() > 150
+    assert (d <= exact + 2e-3)[outside].all()  # the error of the table
+    assert (d > 0.5 * exact)[outside].all()
+    assert np.linalg.norm(slopes[:, :3, 3], axis=1)[outside].max() < 1.05
+    assert np.sum(slopes[:, :3, 3] * n, axis=1)[:200][outside[:200]].min() > 0.2
+    np.testing.assert_allclose(*d[-2:], atol=1e-8)
+
+
 def test_what_has_no_distance(unchecked: None) -> None:
+    balls = {"a": Sphere(0.1), "b": Sphere(0.1)}
     wrong: list[tuple[Any, str]] = [
         (lambda: ConvexPolytope(np.eye(3)), "span a volume"),
         (lambda: ConvexPolytope(np.full((8, 3), np.nan)), "finite"),
@@ -179,6 +223,11 @@ def test_what_has_no_distance(unchecked: None) -> None:
         (lambda: DistanceGrid([np.arange(4.0)] * 3, np.ones((4, 4))), "shape"),
         (lambda: clearances(mechanics.chain_models.equal_links(2)), "links with collision geometry"),
         (lambda: clearances(mechanics.chain_models.equal_links(2), {"joint1": Sphere(0.1)}), "all pairs are excluded"),
+        (lambda: clearances(floating("ab"), balls, far=-1.0), "far must be a distance"),
+        (lambda: clearances(floating("ab"), {"a": Sphere(0.1), "b": []}), "got none for 'b'"),
+        (lambda: clearances(floating("ab"), [Sphere(0.1)]), "solids by name"),  # type: ignore[arg-type]
+        (lambda: clearances(floating("ab"), balls, ignored=[("a", "bb")]), "ignored has 'bb'"),
+        (lambda: clearances(floating("ab"), balls, ignored=["ab"]), "ignored expects pairs of names"),  # type: ignore[list-item]
         (lambda: soft_minimum([], 0.1), "got none"),
         (lambda: soft_minimum([tx.Constant(1.0)], 0.0), "width"),
     ]
@@ -199,6 +248,23 @@ def hulls(count: int) -> dict[str, ConvexPolytope]:
 def floating(names: Iterable[str]) -> Mechanism:
     body = mechanics.SpatialInertia(mass=1.0, inertia=np.eye(3))
     return Mechanism([Link(joints.Free(name), body, np.eye(4)) for name in names])
+
+
+def test_more_hulls_than_a_table_has() -> None:
+    """Prisms with so many corners that a table has two: three make two tables."""
+    angles = np.linspace(0.0, 2.0 * np.pi, 160, endpoint=False)
+    ring = np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], axis=1)
+    heights = {"a": 0.2, "b": 0.4, "c": 0.8}
+    solids = {
+        name: ConvexPolytope(np.concatenate([0.3 * ring + [0.0, 0.0, s * h] for s in (-0.5, 0.5)]), radius=0.01)
+        for name, h in heights.items()
+    }
+    pairs = clearances(floating(solids), solids)
+    for z in ({"a": 0.0, "b": 1.0, "c": 2.0}, {"a": 1.7, "b": 0.3, "c": 0.0}):  # apart, and b in c
+        gaps = evaluated(pairs, {f"{name}_position": tx.pose(position=[0.0, 0.1, z[name]]) for name in solids})
+        for a, b in ("ab", "ac", "bc"):
+            expected = abs(z[a] - z[b]) - 0.5 * (heights[a] + heights[b]) - 0.02
+            assert gaps[f"{a}-{b}"] == pytest.approx(expected, abs=1e-12)
 
 
 AT = tx.pose(position=[0.1, 0.0, 0.2], quaternion=[0.8, 0.6, 0.0, 0.0])
@@ -242,17 +308,27 @@ def test_many_pairs_share_a_search(solids: Any, obstacles: Any) -> None:
     np.testing.assert_allclose(values_and_slopes(shared, np.float32)[0], expected, rtol=0.0, atol=2e-6)
 
 
+def kernels_of(solids: dict[str, Any], obstacles: dict[str, Any]) -> int:
+    """The number of kernels that the distances of floating solids compile."""
+    made = list[str]()
+
+    def listen(event: str, seconds: float, **_: Any) -> None:
+        made.append(event)
+
+    pairs = clearances(floating(solids), solids, obstacles)
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    evaluated(pairs, {f"{name}_position": np.eye(4) for name in solids})
+    jax.monitoring.unregister_event_duration_listener(listen)
+    return made.count("/twistax/kernel")
+
+
 def test_more_pairs_compile_no_search() -> None:
-    kernels = []
-    for count in (3, 5):
-        solids, made = hulls(count), list[str]()
-        x = {f"{name}_position": np.eye(4) for name in solids}
+    few, many = (kernels_of(hulls(count), {}) for count in (3, 5))
+    assert 0 < many == few
 
-        def listen(event: str, seconds: float, made: list[str] = made, **_: Any) -> None:
-            made.append(event)
 
-        jax.monitoring.register_event_duration_secs_listener(listen)
-        evaluated(clearances(floating(solids), solids), x)
-        jax.monitoring.unregister_event_duration_listener(listen)
-        kernels.append(made.count("/twistax/kernel"))
-    assert 0 < kernels[1] == kernels[0]
+@pytest.mark.thorough
+def test_cylinders_of_one_size_share_a_search() -> None:
+    rods = {name: Capsule(0.1, 0.3, at=tx.pose(position=[x, 0.0, 0.0])) for name, x in (("a", 1.0), ("b", 2.0))}
+    few, many = (kernels_of({name: rods[name] for name in names}, {"can": Cylinder(0.2, 0.5)}) for names in ("a", "ab"))
+    assert 0 < many == few

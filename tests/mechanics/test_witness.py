@@ -6,6 +6,7 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from test_distances import SHAPES, poses, values
 
 import twistax as tx
@@ -24,7 +25,7 @@ from twistax.view import Capsule, Cylinder, Mesh, Sphere
 
 RADIUS, LENGTH = 0.35, 0.8
 SOLIDS: dict[str, Any] = {**SHAPES, "cylinder": Cylinder(RADIUS, LENGTH)}
-PAIRS = [("sphere", "box"), ("capsule", "cylinder"), ("half", "cylinder"), ("capsule", "half")]
+PAIRS = [("sphere", "box"), ("capsule", "capsule"), ("capsule", "cylinder"), ("half", "cylinder"), ("capsule", "half")]
 
 
 def coal_solids(coal: Any) -> dict[str, Any]:
@@ -72,6 +73,44 @@ def test_witness_points_as_coal_has_them(pair: tuple[str, str]) -> None:
     assert np.quantile(off, 0.95) < 3e-5  # Coal iterates for a cylinder, to 1e-10 of the distance
 
 
+def beyond(name: str, p: np.ndarray) -> np.ndarray:
+    """The signed distances (k,) of points (k, 3) in the frame of a box, a capsule or a cylinder."""
+    if name == "capsule":
+        return np.linalg.norm(p - np.clip(p, [0.0, 0.0, -0.45], [0.0, 0.0, 0.45]), axis=1) - 0.2
+    away = np.abs(p) - [0.2, 0.35, 0.55]
+    if name == "cylinder":
+        away = np.stack([np.hypot(p[:, 0], p[:, 1]) - RADIUS, np.abs(p[:, 2]) - 0.5 * LENGTH], axis=1)
+    return np.linalg.norm(np.maximum(away, 0.0), axis=1) + np.minimum(away.max(axis=1), 0.0)
+
+
+def quarter_turns() -> np.ndarray:
+    """(200, 4, 4) poses at which edges, faces and axes are parallel: apart, touching and overlapping."""
+    rng, T = np.random.default_rng(8), np.tile(np.eye(4), (200, 1, 1))
+    angles = rng.integers(0, 4, size=(200, 3))
+    T[:, :3, :3] = np.round(Rotation.from_euler("xyz", 90.0 * angles, degrees=True).as_matrix())
+    T[:, :3, 3] = rng.choice([-0.8, -0.45, -0.2, 0.0, 0.1, 0.55, 0.9], size=(200, 3))
+    return T
+
+
+@pytest.mark.parametrize(
+    "pair",
+    [
+        ("capsule", "cylinder"),
+        pytest.param(("box", "box"), marks=pytest.mark.thorough),
+        pytest.param(("box", "cylinder"), marks=pytest.mark.thorough),
+    ],
+    ids="-".join,
+)
+def test_points_of_parallel_faces_are_on_both_solids(pair: tuple[str, str]) -> None:
+    A, B = np.tile(np.eye(4), (200, 1, 1)), quarter_turns()
+    near = lowered(pair)(A, B)
+    d = np.asarray(near["d"])
+    assert min((d < -0.1).sum(), (d > 0.1).sum()) > 10
+    for name, T, key in zip(pair, (A, B), "ab", strict=True):
+        p = np.einsum("kji,kj->ki", T[:, :3, :3], np.asarray(near[key]) - T[:, :3, 3])
+        assert np.abs(beyond(name, p)).max() < 1e-9
+
+
 def test_of_overlapping_solids_the_normal_separates() -> None:
     A, B = poses(100, 0.5)
     found = lowered(("box", "box"))(A, B)
@@ -105,6 +144,15 @@ def test_a_point_beside_a_cylinder() -> None:
     assert np.abs(values(SOLIDS["cylinder"], SOLIDS["sphere"], A, B) - expected).max() < 1e-12
     assert (across < 0.0).any()
     assert (up < 0.0).any()
+
+
+def test_an_upright_capsule_in_a_lying_cylinder() -> None:
+    """Both ends of the segment are on one line through the axis."""
+    A, B = np.tile(np.eye(4), (200, 1, 1)), np.tile(np.eye(4), (200, 1, 1))
+    B[:, :3, :3] = [[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]
+    B[:, 2, 3] = np.linspace(0.46, 1.2, 200)
+    expected = B[:, 2, 3] - 0.45 - 0.2 - RADIUS
+    np.testing.assert_allclose(lowered(("capsule", "cylinder"))(A, B)["d"], expected, atol=1e-12)
 
 
 def test_a_cylinder_over_a_plane() -> None:

@@ -92,6 +92,37 @@ def test_a_tree_with_every_kind_of_joint_of_both_formats(how: str, tmp_path: Pat
 
 
 @pytest.mark.parametrize("how", ["urdf", "mjcf"])
+def test_collision_geometry_is_read_back(how: str, tmp_path: Path) -> None:
+    pytest.importorskip("trimesh")
+    rng = np.random.default_rng(1)
+    corners, faces = view.Box((0.2, 0.3, 0.4)).mesh()
+    lines = [f"v {x} {y} {z}" for x, y, z in corners] + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces]
+    (tmp_path / "hand.obj").write_text("\n".join(lines))
+    both = view.Capsule(0.1, 0.4, at=pose(rng))
+    solids = [view.Mesh(tmp_path / "hand.obj", at=pose(rng), scale=0.5), view.Cylinder(0.1, 0.2, at=pose(rng))]
+    body, options = body_of(Cloud.random(rng, 5)), {"shapes": [view.Sphere(0.3)]}
+
+    def link(name: str, parent: str | None, **more: Any) -> Link:
+        return Link(joints.Revolute(name, AXIS), body, pose(rng), parent=parent, **more)
+
+    links = [link("a", None, **options, collision=()), link("b", "a", **options, collision=solids)]
+    links += [link("c", "b", shapes=[both], collision=[both]), link("d", "c", **options)]
+    before = Mechanism(links, base="world", collision=[view.Box((1.0, 1.0, 0.1))])
+    after = read_back(before, tmp_path, how)
+    assert mechanics.clearances(after).keys() == mechanics.clearances(before).keys() != {}
+    for mine, theirs in zip([before, *links], [after, *(after.link(part.name) for part in links)], strict=True):
+        expected = mine.shapes if mine.collision is None else mine.collision
+        assert [type(solid) for solid in theirs.collision] == [type(solid) for solid in expected]
+        for one, other in zip(theirs.collision, expected, strict=True):
+            near(one.corners(), other.corners())
+    for name in "abcd":
+        assert [type(s) for s in after.link(name).shapes] == [type(s) for s in before.link(name).shapes]
+    flat = before.replace(links=[link("a", None, collision=[view.Mesh((corners, faces))])])
+    with pytest.raises(ModelError, match="collision: of 'a'"):
+        getattr(flat, f"to_{how}")()
+
+
+@pytest.mark.parametrize("how", ["urdf", "mjcf"])
 def test_mounts_at_all_angles(how: str, tmp_path: Path) -> None:
     rng, quarter = np.random.default_rng(0), np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
     body = body_of(Cloud.random(rng, 5))

@@ -228,7 +228,8 @@ class Mechanism(KinematicTree):
         As `to_urdf`, with the additional features of MJCF: springs, armatures, gears, gravity, motors of some joints,
         and loop constraints of points and poses. MJCF cannot express speed limits, `AxisLoop`, `Planar`, `Helical` or
         `Cylindrical` joints, bodies without mass, or names of `Fixed` joints. The base is the world, with a site of the
-        base's name, or with a body of this name that has the mass of the base. Shapes do not collide.
+        base's name, or with a body of this name that has the mass of the base. Geoms of the collision geometry
+        (`Link.collision`) collide; other shapes do not. Meshes need a file in the format STL or OBJ.
 
         Args:
             name, leave_out: as for `to_urdf`.

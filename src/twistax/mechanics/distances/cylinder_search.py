@@ -21,7 +21,7 @@ from .polytope import root
 from .rim import RimIntervals, rim_intervals, rim_normal, sign_change, unit
 from .solids import Core
 
-#: A height above a face that is zero by rounding, relative to the radius; by which triangles of a face overlap.
+#: A distance that is zero by rounding, relative to the radius; by which triangles of a face overlap.
 _TOUCHING, _SEAM = 1e-12, 1e-13
 #: The gap and the height of features that do not exist.
 _FAR = 1e12
@@ -64,7 +64,7 @@ def nearest_feature(radius: float, height: float, core: Core, T: jax.Array) -> F
     outside = _apart(placed)
     n = outside.n
     gap = jnp.min(placed.corners @ n) - reach(radius, height, n[None])[0]
-    best = jax.lax.cond(gap > 0.0, lambda: outside, lambda: _deepest(placed))
+    best = jax.lax.cond(gap > _TOUCHING * radius, lambda: outside, lambda: _deepest(placed))
     flags = (jnp.arange(6) == best.kind).astype(T.dtype)
     return Feature((best.corner - p) @ R, best.edge @ R, best.normal @ R, best.n, flags)
 
@@ -222,8 +222,10 @@ def _of_corners(placed: _Placed) -> _Candidate:
     def corner(_: None, n: jax.Array) -> tuple[None, jax.Array]:
         return None, jnp.min(flat @ n)
 
-    gaps = jax.lax.scan(corner, None, n)[1] - placed.radius
-    gaps = jnp.where(jnp.abs(n[:, 2]) > 0.5, -_FAR, gaps)
+    # In this direction the corner is the nearest one, and not another on the same line.
+    heights, nearest = jnp.sum(flat * n, axis=1), jax.lax.scan(corner, None, n)[1]
+    is_nearest = (heights <= nearest + _TOUCHING * placed.radius) & (jnp.abs(n[:, 2]) < 0.5)
+    gaps = jnp.where(is_nearest, nearest - placed.radius, -_FAR)
     i = place_of(gaps == jnp.max(gaps))
     return placed.candidate(jnp.max(gaps), 4, at(n, i), corner=at(placed.corners, i))
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ...expr import Expr
+from ...expr import Dot, Expr, Max, Min, Sqrt, Where
 from ...expr.lie import Act
 from ...expr.tables.interpolation import Interp
 from ...expr.tables.kinds import BSpline
@@ -16,11 +16,15 @@ from ..arguments import pose
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class DistanceGrid:
-    """Signed distances of a solid at the points of a grid, such as those of a scanned room.
+    r"""Signed distances of a solid at the points of a grid, such as those of a scanned room.
 
     Between points, `tx.tables.BSpline()` gives two continuous derivatives. The error of `tx.tables.Linear()` is at most
-    half of the diagonal of a cell, $|h| / 2$, because the gradient of a distance has at most the length 1. Outside of
-    the grid the value is that of the nearest point on its border.
+    half of the diagonal of a cell, $|h| / 2$, because the gradient of a distance has at most the length 1.
+
+    Outside of the grid, at a distance r from the nearest point of its border, where the value is $\phi$, the value is
+    $\sqrt{\phi^2 + r^2}$ if $\phi \ge 0$, and otherwise $\phi + r$. It is continuous and increases with r, so that
+    an optimiser that starts there has a gradient. If $\phi \ge 0$, it is a lower bound of the distance to a solid that
+    is within the grid, because the grid is convex.
 
     Attributes:
         axes: three arrays of coordinates, increasing, m, in the frame of the grid.
@@ -43,4 +47,10 @@ class DistanceGrid:
     def value(self, point: Any) -> Expr:
         """The signed distance () of a point (3,) in the frame of the body, m."""
         p = Act(np.linalg.inv(self.at), point)
-        return Interp(p[0], p[1], p[2], axes=list(self.axes), values=self.values, kind=self.kind)
+        value = Interp(p[0], p[1], p[2], axes=list(self.axes), values=self.values, kind=self.kind)
+        low, high = (np.array([float(axis[k]) for axis in self.axes]) for k in (0, -1))
+        beyond = p - Max(low, Min(p, high))
+        square = Dot(beyond, beyond)
+        outside = square > 0.0
+        r, away = Sqrt(Where(outside, square, 1.0)), Where(value > 0.0, value, 0.0)
+        return Where(outside, Where(value > 0.0, Sqrt(away * away + r * r), value + r), value)

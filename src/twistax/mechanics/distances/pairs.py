@@ -5,14 +5,15 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Hashable, Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
 
-from ...checks import listed, number
+from ...checks import instance, listed, number, path_of, short
 from ...errors import ModelError, TwistaxError
 from ...expr import Cond, Constant, Expr, LogSumExp, Min, Norm
+from ...expr.functions.function import Function
 from ...expr.lie import Act, Compose, Inverse
 from ...progress import watching
 from ...view import Box, Cylinder, Mesh, Shape
@@ -29,6 +30,10 @@ from .solids import HalfSpace, rounded
 
 #: From so many polytopes and boxes on, pairs share a search.
 _SEVERAL = 3
+#: The most names of a file that a message has.
+_NAMED = 6
+#: Solids without a sphere around them.
+_UNBOUNDED = (HalfSpace, DistanceGrid)
 
 Solids = Mapping[str, Solid | Iterable[Solid]]
 
@@ -47,8 +52,9 @@ def clearances(
     "hand-table".
 
     Excluded are frames connected by one joint, frames of one rigid body, and the pairs in `ignored` and in the SRDF
-    file. If a frame has several solids, the distance is the smallest over them. A link without collision geometry in a
-    file that has some has no distances, as in Pinocchio and MoveIt.
+    file. If a frame has several solids, the distance is the smallest over them; so it is for pairs whose names are
+    equal, such as "a-b", "c" and "a", "b-c". A link without collision geometry in a file that has some has no
+    distances, as in Pinocchio and MoveIt.
 
     Args:
         solids: solids by frame. None: the collision geometry of all links and of the base (`Link.collision`), or the
@@ -56,34 +62,44 @@ def clearances(
             so that they contain the mesh.
         obstacles: solids by name, in the axes of the base; each is paired with all frames that move.
         ignored: pairs of names of frames or obstacles.
-        srdf: a file with `<disable_collisions link1=... link2=.../>`, as MoveIt writes it.
+        srdf: a file with `<disable_collisions link1=... link2=.../>`, as MoveIt writes it. Pairs with a link that the
+            mechanism does not have are skipped, such as those of a leg after `without`.
         far: None, or the distance, m, of the broad phase: if the spheres around two solids are farther apart than this,
             their distance is returned in place of that of the solids, which is not computed. It is a lower bound, so
-            constraints remain satisfied; the value is discontinuous at the switch.
+            constraints remain satisfied; the value is discontinuous at the switch. For a `HalfSpace` and a
+            `DistanceGrid` the distance is always exact.
     Raises:
-        ModelError: an unknown frame; a name that is both a frame and an obstacle; a solid without a distance function;
-            collision geometry that cannot be read, by link; a file without such elements; no remaining pair.
+        ModelError: an unknown frame or name; a name that is both a frame and an obstacle; a solid without a distance
+            function; collision geometry that cannot be read, by link; an SRDF file of another robot; no remaining pair.
+        InputError: a distance `far` that is negative.
 
     Example:
         `clearances(arm, {"hand": Sphere(0.1)}, {"table": box})["hand-table"] >= 0.02`
     """
     checked("clearances", mechanism)
-    by_frame = _of_links(mechanism) if solids is None else {name: _listed(value) for name, value in solids.items()}
-    by_obstacle = {name: _listed(value) for name, value in (obstacles or {}).items()}
+    if far is not None:
+        number("clearances: far", far, "a distance of 0 or more, in m", lambda size: size >= 0.0)
+    by_frame = _of_links(mechanism) if solids is None else _by_name("solids", solids)
+    by_obstacle = _by_name("obstacles", obstacles or {})
     if twice := [name for name in by_obstacle if name in by_frame]:
         raise ModelError(
             f"clearances: {twice[0]!r} is the name of a frame and of an obstacle.\n  fix: use another name"
         )
     places = {name: mechanism.frame(name).segment for name in by_frame} | dict.fromkeys(by_obstacle)
-    skipped = {frozenset(pair) for pair in (*ignored, *(() if srdf is None else disabled_pairs(srdf)))}
+    frames = {name: mechanism.frame_name(name) for name in by_frame} | {name: name for name in by_obstacle}
+    skipped = _pairs_of_names(ignored, frames | {name: name for name in mechanism.frames})
+    if srdf is not None:
+        skipped |= _disabled_pairs(srdf, mechanism)
     distances, table = dict[str, Expr](), _table([*by_frame.values(), *by_obstacle.values()])
+    functions = dict[Hashable, Function]()
     for a, b in itertools.combinations([*by_frame, *by_obstacle], 2):
-        if frozenset((a, b)) in skipped or not _may_touch(mechanism, places[a], places[b]):
+        if frozenset((frames[a], frames[b])) in skipped or not _may_touch(mechanism, places[a], places[b]):
             continue
         T_a, T_b = (mechanism.pose(name) if name in by_frame else None for name in (a, b))
         shapes = itertools.product(*({**by_frame, **by_obstacle}[name] for name in (a, b)))
-        pairs = [_distance(one, two, T_a, T_b, far, table) for one, two in shapes]
-        distances[f"{a}-{b}"] = functools.reduce(Min, pairs)
+        pairs = [_distance(one, two, T_a, T_b, far, table, functions) for one, two in shapes]
+        name = f"{a}-{b}"
+        distances[name] = functools.reduce(Min, ([distances[name]] if name in distances else []) + pairs)
     if not distances:
         raise ModelError("clearances expects frames or obstacles that may collide, but all pairs are excluded")
     return distances
@@ -110,17 +126,55 @@ def soft_minimum(distances: Iterable[Expr] | Mapping[str, Expr], width: float) -
     return values[0] if len(values) == 1 else -width * LogSumExp(*(-d / width for d in values))
 
 
-def disabled_pairs(srdf: str | Path) -> list[tuple[str, str]]:
-    """The pairs of links whose collisions an SRDF file disables. Raises ModelError for a file without such pairs."""
-    root = read_xml(Path(srdf), "clearances")
+def _by_name(argument: str, solids: Solids) -> dict[str, list[Solid]]:
+    instance(f"clearances: {argument}", solids, Mapping, "solids by name, such as {'hand': Sphere(0.1)}", ModelError)
+    lists = {name: list(value) if isinstance(value, Iterable) else [value] for name, value in solids.items()}
+    if empty := [name for name, some in lists.items() if not some]:
+        raise ModelError(f"clearances: {argument} expects one or more solids for each name, got none for {empty[0]!r}")
+    return lists
+
+
+def _pairs_of_names(pairs: Iterable[tuple[str, str]], known: Mapping[str, str]) -> set[frozenset[str]]:
+    """Pairs of frames without order. Raises ModelError for other objects than pairs, and for names that are not known.
+
+    Args:
+        known: the frame or the obstacle of each name.
+    """
+    result = set()
+    for pair in pairs:
+        if isinstance(pair, str) or not isinstance(pair, Collection) or len(pair) != 2:
+            raise ModelError(
+                f"clearances: ignored expects pairs of names, such as [('hand', 'table')], got {short(pair)}"
+            )
+        for name in pair:
+            if name not in known:
+                raise ModelError(
+                    f"clearances: ignored has {short(name)}, which is neither a frame nor an obstacle; "
+                    f"known are {listed(known, name)}"
+                )
+        result.add(frozenset(known[name] for name in pair))
+    return result
+
+
+def _disabled_pairs(srdf: str | Path, mechanism: KinematicTree) -> set[frozenset[str]]:
+    """The pairs of links whose collisions an SRDF file disables. Raises ModelError for a file of another kind or of
+    another robot.
+    """
+    root = read_xml(path_of("clearances: srdf", srdf), "clearances")
+    if root.tag != "robot" or root.first("link"):
+        raise ModelError(
+            f"clearances: srdf expects an SRDF file, with <robot> and <disable_collisions>, got {str(srdf)!r} with "
+            f"<{root.tag}>{' and <link>, a URDF file' if root.tag == 'robot' else ''}"
+        )
     pairs = [(element.text("link1"), element.text("link2")) for element in root.all("disable_collisions")]
-    if not pairs:
-        raise ModelError(f"clearances expects an SRDF file with <disable_collisions>, got {str(srdf)!r}")
-    return pairs
-
-
-def _listed(value: Solid | Iterable[Solid]) -> list[Solid]:
-    return list(value) if isinstance(value, Iterable) else [value]
+    if pairs and not any(a in mechanism.frames and b in mechanism.frames for a, b in pairs):
+        unknown = dict.fromkeys(name for pair in pairs for name in pair if name not in mechanism.frames)
+        raise ModelError(
+            f"clearances: the SRDF file {str(srdf)!r} is of another robot: the mechanism has no frames "
+            f"{listed(list(unknown)[:_NAMED])}{' ...' if len(unknown) > _NAMED else ''}; it has "
+            f"{listed(mechanism.frames)}"
+        )
+    return {frozenset(pair) for pair in pairs}
 
 
 def _of_links(mechanism: KinematicTree) -> dict[str, list[Solid]]:
@@ -167,19 +221,25 @@ def _may_touch(mechanism: KinematicTree, a: int | None, b: int | None) -> bool:
 
 def _table(solids: Iterable[Iterable[Solid]]) -> PolytopeTable | None:
     """The table of all solids that have one, if there are several polytopes or boxes."""
-    every = [solid for some in solids for solid in some if not isinstance(solid, (HalfSpace, DistanceGrid, Cylinder))]
+    every = [solid for some in solids for solid in some if not isinstance(solid, (*_UNBOUNDED, Cylinder))]
     if sum(isinstance(solid, (ConvexPolytope, Box)) for solid in every) < _SEVERAL:
         return None
     return PolytopeTable(s if isinstance(s, ConvexPolytope) else rounded("clearances", s) for s in every)
 
 
 def _distance(
-    a: Solid, b: Solid, T_a: Expr | None, T_b: Expr | None, far: float | None, table: PolytopeTable | None
+    a: Solid,
+    b: Solid,
+    T_a: Expr | None,
+    T_b: Expr | None,
+    far: float | None,
+    table: PolytopeTable | None,
+    functions: dict[Hashable, Function],
 ) -> Expr:
     """The distance of two solids, or that of the spheres around them if these are far apart."""
     pair, A, B = placed_pair("clearances", a, b, T_a, T_b)
-    exact = pair.distance(Compose(Inverse(A), B), table)
-    if far is None or isinstance(a, HalfSpace) or isinstance(b, HalfSpace):
+    exact = pair.distance(Compose(Inverse(A), B), table, functions)
+    if far is None or isinstance(a, _UNBOUNDED) or isinstance(b, _UNBOUNDED):
         return exact
     (c_a, r_a), (c_b, r_b) = _sphere(a), _sphere(b)
     between = (Constant(c_a) if T_a is None else Act(T_a, c_a)) - (Constant(c_b) if T_b is None else Act(T_b, c_b))

@@ -21,17 +21,18 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from typing import Any, TypeAlias
 
 import numpy as np
 
 from ...checks import short
 from ...errors import ModelError
-from ...expr import Abs, Constant, Cross, Dot, Expr, Max, Min, Sqrt, Where
+from ...expr import Abs, Constant, Cross, Dot, Expr, Max, Min, Sqrt, State, Where
 from ...expr.fields import ExprLike
 from ...expr.functions.function import Function
 from ...expr.lie import Compose, Inverse
+from ...system.lower import lower
 from ...view import Cylinder, Shape, Sphere
 from ..arguments import pose
 from .cylinder import cylinder_to_core, over_plane
@@ -93,11 +94,14 @@ class Pair:
     b: Any
     swapped: bool
 
-    def distance(self, T: Expr, table: PolytopeTable | None = None) -> Expr:
+    def distance(
+        self, T: Expr, table: PolytopeTable | None = None, functions: dict[Hashable, Function] | None = None
+    ) -> Expr:
         """The signed distance () if T is the pose of b in the frame of a.
 
         Args:
             table: None, or has both solids if neither is a cylinder, a half-space or a grid.
+            functions: None, or the functions of previous pairs, which pairs of equal solids share; a new one is added.
         """
         a, b = self.a, self.b
         if isinstance(b, DistanceGrid):
@@ -110,15 +114,20 @@ class Pair:
                 return _apart(a, b, T)
         if table is not None and not isinstance(a, Cylinder):
             return table.distance(a, b, T)
-        return Function(self.of_arrays(), (), name="signed_distance")(T)
+        functions, key = {} if functions is None else functions, (_key(a), _key(b))
+        if key not in functions:
+            functions[key] = Function(self.of_arrays(), (), name="signed_distance")
+        return functions[key](T)
 
     def of_arrays(self) -> Callable[[Any], Any]:
-        """The signed distance () of two bounded solids as a function of an array T (4, 4)."""
-        if isinstance(self.a, Cylinder) and isinstance(self.b, Cylinder):
-            return cylinder_to_cylinder(self.a, self.b)
-        if isinstance(self.a, Cylinder):
-            return cylinder_to_core(self.a, core_of(self.b))
-        return distance(core_of(self.a), core_of(self.b))
+        """The signed distance () as a function of an array T (4, 4)."""
+        a, b = self.a, self.b
+        if isinstance(b, (HalfSpace, DistanceGrid)) or not (_has_volume(a) or _has_volume(b)):
+            lowered = lower(self.distance(State("T", (4, 4))))
+            return lambda T: lowered(0.0, {"T": T})
+        if isinstance(a, Cylinder):
+            return cylinder_to_cylinder(a, b) if isinstance(b, Cylinder) else cylinder_to_core(a, core_of(b))
+        return distance(core_of(a), core_of(b))  # this compiles faster than the expression
 
     def _reach(self, n: Expr) -> Expr:
         """The extent of a along -n, a unit vector in its frame."""
@@ -140,6 +149,8 @@ def placed_pair(owner: str, a: Solid, b: Solid, T_a: ExprLike | None, T_b: ExprL
     swapped = isinstance(a, (HalfSpace, DistanceGrid)) or (isinstance(b, Cylinder) and not isinstance(a, Cylinder))
     if isinstance(a, Cylinder) and isinstance(b, Cylinder):
         swapped = a.radius > b.radius
+    if isinstance(a, HalfSpace) and isinstance(b, HalfSpace):
+        raise ModelError(f"{owner} expects at most one HalfSpace, got two: half-spaces have no distance")
     first, second = (b, a) if swapped else (a, b)
     if isinstance(second, DistanceGrid):
         one: Any = rounded(owner, first) if isinstance(first, Sphere) else None
@@ -157,6 +168,17 @@ def placed_pair(owner: str, a: Solid, b: Solid, T_a: ExprLike | None, T_b: ExprL
     return Pair(one, two, swapped), Compose(A, Constant(one.at)), B
 
 
+def _key(solid: Rounded | ConvexPolytope | Cylinder) -> Hashable:
+    """Equal for solids of the same size, which differ at most in their poses."""
+    if isinstance(solid, Cylinder):
+        return solid.radius, solid.length
+    return id(solid) if isinstance(solid, ConvexPolytope) else (solid.half.tobytes(), solid.radius)
+
+
+def _has_volume(solid: Rounded | ConvexPolytope | Cylinder) -> bool:
+    return not isinstance(solid, Rounded) or len(solid.directions) == 3
+
+
 def _core(owner: str, solid: Solid) -> Rounded | ConvexPolytope | Cylinder:
     return solid if isinstance(solid, (ConvexPolytope, Cylinder)) else rounded(owner, solid)
 
@@ -167,7 +189,7 @@ def _apart(a: Rounded, b: Rounded, T: Expr) -> Expr:
     squares = [_to_core(Constant(b.corners) @ R.T + p[None], a), _to_core((Constant(a.corners) - p[None]) @ R, b)]
     squares += [_between_edges(a, b, i, j, R, p) for i in a.directions for j in b.directions]
     distance = Sqrt(functools.reduce(Min, [_least(values) for values in squares]))
-    if max(len(a.directions), len(b.directions)) < 3:  # without volume they do not overlap
+    if not (_has_volume(a) or _has_volume(b)):  # then they do not overlap
         return distance - (a.radius + b.radius)
     depth = _separation(a, b, R, p)
     return Where(depth > 0.0, distance, depth) - (a.radius + b.radius)

@@ -46,7 +46,7 @@ def compiler(element: Element) -> Any:
 
 
 #: Formats of meshes that can be drawn, and that MuJoCo also reads.
-_DRAWN = {".stl", ".obj"}
+DRAWN_MESHES = {".stl", ".obj"}
 #: The radius of the sphere that replaces a mesh that is only drawn, m.
 _TINY = 1e-6
 
@@ -237,7 +237,7 @@ class Compiled:
     def _drawn_mesh(self, spec: Any, mujoco: Any, name: str) -> DrawnMesh | None:
         """A mesh whose file may be read, exists, and has a format that can be drawn; else None."""
         mesh = spec.mesh(name)
-        if mesh is None or Path(mesh.file).suffix.lower() not in _DRAWN:
+        if mesh is None or Path(mesh.file).suffix.lower() not in DRAWN_MESHES:
             return None
         try:
             path = self._inside(self._about(mesh.file), mesh.file, spec.meshdir or "")

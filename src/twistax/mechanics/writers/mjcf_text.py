@@ -10,6 +10,7 @@ Source: the pages of https://mujoco.readthedocs.io, XML reference.
 from __future__ import annotations
 
 from collections.abc import Collection
+from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
@@ -18,16 +19,20 @@ from numpy.typing import NDArray
 
 from ...errors import ModelError
 from ...system import free_name
-from ...view import Box, Capsule, Cylinder, Ellipsoid, Shape, Sphere
+from ...view import Box, Capsule, Cylinder, Ellipsoid, Mesh, Shape, Sphere
 from ..bodies import SpatialInertia
 from ..joints import Fixed, Free, Prismatic, Revolute, Spherical
 from ..kinematic_tree import KinematicTree
 from ..loops import Loop, Metric, PointLoop, PoseLoop
-from ..tree import Link
-from .written import Losses, child, children_of, document, limits, robot_name, text
+from ..models.looks import FilePlane, MissingMesh
+from ..models.mjcf_file import DRAWN_MESHES
+from ..tree import Link, solids_of
+from .written import Losses, child, children_of, document, has_collision, limits, robot_name, text
 
 _WORLD = "world"
 _ROUND_OFF = 1e-9
+#: The group of geoms that MuJoCo's viewer does not draw by default.
+_HIDDEN = "3"
 _TYPES = {Revolute: "hinge", Prismatic: "slide", Spherical: "ball", Free: "free"}
 
 
@@ -40,6 +45,7 @@ class MjcfText:
         root = ElementTree.Element("mujoco", model=robot_name("to_mjcf", name))
         child(root, "compiler", angle="radian", inertiafromgeom="false")
         child(root, "option", gravity=text(self._losses.value("gravity", mechanism.gravity)))
+        self._assets, self._collides = child(root, "asset"), has_collision(mechanism)
         world = child(root, "worldbody")
         self._bodies = {mechanism.base: world}
         self._frames = set(mechanism.frames)
@@ -53,7 +59,7 @@ class MjcfText:
             self._add_inertia(child(world, "body", name=name), name, mechanism.base_body, jointed=False)
         elif mechanism.base != _WORLD:
             child(world, "site", name=mechanism.base)
-        self._add_shapes(world, mechanism.base, mechanism.shapes)
+        self._add_shapes(world, mechanism.base, mechanism)
         for link in self._children[mechanism.base]:
             self._add_body(world, link)
         self._add_equalities(child(root, "equality"))
@@ -93,14 +99,14 @@ class MjcfText:
                 f"to_mjcf: link {body.name!r} moves, but neither it nor a link that is fixed to it has "
                 f"mass, which MuJoCo requires.\n  fix: with_inertia({{{body.name!r}: SpatialInertia(...)}})"
             )
-        self._add_shapes(element, body.name, body.shapes)
+        self._add_shapes(element, body.name, body)
         for carried in self._children[body.name]:
             self._add_body(element, carried)
 
     def _joins_the_next(self, link: Link) -> bool:
         """Whether the joint of a link without mass becomes a joint of the body that the link carries."""
         carried = self._children[link.name]
-        alone = link.body is None and len(carried) == 1 and not link.shapes
+        alone = link.body is None and len(carried) == 1 and not link.shapes and not link.collision
         return bool(alone and link.joint.dofs and carried[0].joint.dofs)
 
     def _has_mass(self, link: Link) -> bool:
@@ -128,17 +134,25 @@ class MjcfText:
         T[:3, :3], T[:3, 3] = axes * np.sign(np.linalg.det(axes)), center
         child(element, "inertial", mass=text(mass), diaginertia=text(moments), **_placed(T))
 
-    def _add_shapes(self, element: ElementTree.Element, name: str, shapes: Any) -> None:
-        for shape in shapes:
-            solid = self._solid(shape)
-            if solid is None:
-                self._losses.add("shapes", name)
+    def _add_shapes(self, element: ElementTree.Element, name: str, part: Link | KinematicTree) -> None:
+        """Add a geom for each shape and each solid of a link or of the base; one for both if they are one object."""
+        solids = {id(solid): solid for solid in solids_of(part)} if self._collides else {}
+        shapes = {id(shape): shape for shape in part.shapes}
+        for key, shape in (shapes | solids).items():
+            geom = self._geom(shape)
+            if geom is None:
+                for kind, some in (("shapes", shapes), ("collision", solids)):
+                    if key in some:
+                        self._losses.add(kind, name)
                 continue
+            if key not in shapes:
+                geom["group"] = _HIDDEN
             rgba = text([*(part / 255.0 for part in shape.color), shape.opacity])
-            child(element, "geom", **solid, rgba=rgba, mass="0", contype="0", conaffinity="0", **_placed(shape.at))
+            collides = dict.fromkeys(("contype", "conaffinity"), str(int(key in solids)))
+            child(element, "geom", **geom, rgba=rgba, mass="0", **collides, **_placed(shape.at))
 
-    @staticmethod
-    def _solid(shape: Shape) -> dict[str, str] | None:
+    def _geom(self, shape: Shape) -> dict[str, str] | None:
+        """The type and size of a geom; None if MJCF has none for the shape."""
         if isinstance(shape, Box):
             return {"type": "box", "size": text(0.5 * np.asarray(shape.lengths))}
         if isinstance(shape, Sphere):
@@ -148,6 +162,15 @@ class MjcfText:
         if isinstance(shape, (Cylinder, Capsule)):
             kind = "cylinder" if isinstance(shape, Cylinder) else "capsule"
             return {"type": kind, "size": text([shape.radius, 0.5 * shape.length])}
+        if isinstance(shape, FilePlane):
+            return {"type": "plane", "size": "0 0 1"}  # infinite
+        if isinstance(shape, Mesh) and not isinstance(shape, MissingMesh) and isinstance(shape.source, (str, Path)):
+            file = Path(shape.source)
+            if file.suffix.lower() in DRAWN_MESHES:
+                scale = np.broadcast_to(np.asarray(shape.scale, dtype=np.float64), (3,))
+                name = f"mesh{len(self._assets)}"
+                child(self._assets, "mesh", name=name, file=str(file.absolute()), scale=text(scale))
+                return {"type": "mesh", "mesh": name}
         return None
 
     # ---- joints ------------------------------------------------------------------------------------------------------

@@ -20,7 +20,7 @@ from ..bodies import SpatialInertia
 from ..joints import Fixed, Free, Joint, Planar, Prismatic, Revolute, Spherical
 from ..kinematic_tree import KinematicTree
 from ..tree import Link, solids_of
-from .written import Losses, child, document, limits, robot_name, text
+from .written import Losses, child, document, has_collision, limits, robot_name, text
 
 _GRAVITY = np.array([0.0, 0.0, -9.81])
 #: The types of joints without limits of the position.
@@ -46,8 +46,7 @@ def urdf_text(mechanism: KinematicTree, name: str, leave_out: Collection[str]) -
         losses.add("driven", "the mechanism")
     for kept in mechanism.arguments["keep"]:
         losses.add("keep", kept)
-    parts: list[Link | KinematicTree] = [mechanism, *mechanism.links]
-    collides = any(part.collision is not None for part in parts)
+    collides = has_collision(mechanism)
     _add_link(robot, losses, mechanism.base, mechanism.base_body, _solids(mechanism, collides))
     for link in mechanism.links:
         _add_link(robot, losses, link.name, link.body, _solids(link, collides))
@@ -60,7 +59,7 @@ def _solids(part: Link | KinematicTree, collides: bool) -> dict[str, Iterable[Sh
     """The shapes of a link or of the base, by the element that contains them.
 
     Args:
-        collides: whether the file has <collision>; a reader then uses nothing else in distances.
+        collides: whether the file has <collision>.
     """
     return {"visual": part.shapes, "collision": solids_of(part) if collides else ()}
 
@@ -87,7 +86,7 @@ def _add_link(
         for shape in shapes:
             solid = _solid(shape)
             if solid is None:
-                losses.add("shapes", name)
+                losses.add("shapes" if tag == "visual" else "collision", name)
                 continue
             part = child(element, tag)
             _add_origin(part, shape.at)

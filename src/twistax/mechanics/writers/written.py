@@ -26,8 +26,8 @@ from ..tree import Link
 UNLIMITED = sys.float_info.max
 #: Kinds of features that may be omitted.
 _KINDS = (
-    "armature", "base_body", "closures", "driven", "effort", "frames", "friction_speed", "gear", "gravity", "keep",
-    "limits", "loop_metric", "rest", "shapes", "speed", "stiffness",
+    "armature", "base_body", "closures", "collision", "driven", "effort", "frames", "friction_speed", "gear", "gravity",
+    "keep", "limits", "loop_metric", "rest", "shapes", "speed", "stiffness",
 )  # fmt: skip
 
 
@@ -123,6 +123,15 @@ def limits(drive: Drive) -> tuple[float, float]:
         -UNLIMITED if drive.lower is None else float(drive.lower),
         UNLIMITED if drive.upper is None else float(drive.upper),
     )
+
+
+def has_collision(mechanism: KinematicTree) -> bool:
+    """Whether a part of a mechanism has collision geometry.
+
+    A reader of a file with some uses nothing else in distances, so for the other parts `solids_of` is written.
+    """
+    parts: list[Link | KinematicTree] = [mechanism, *mechanism.links]
+    return any(part.collision is not None for part in parts)
 
 
 def children_of(mechanism: KinematicTree) -> dict[str, list[Link]]:
