@@ -56,8 +56,11 @@ def test_manipulability_is_of_the_second_priority() -> None:
     assert result.status == ReachStatus.REACHED
     before, after = (float(evaluated(task.error(arm), x)[0]) for x in (alone, result.x))
     assert after < before - 0.02
-    J, slope = (np.asarray(a) for a in evaluated([mechanics.frame_jacobian(arm, "flange")[:3], task.jacobian(arm)], result.x))
-    free = (np.asarray(result.x["q"]) > np.asarray(arm.q.min)) & (np.asarray(result.x["q"]) < np.asarray(arm.q.max))
+    J, slope = (
+        np.asarray(a) for a in evaluated([mechanics.frame_jacobian(arm, "flange")[:3], task.jacobian(arm)], result.x)
+    )
+    q = np.asarray(result.x["q"])
+    free = (q > arm.q.min) & (q < arm.q.max)
     J, slope = J[:, free], slope[0, free]
     along = slope - J.T @ np.linalg.lstsq(J.T, slope, rcond=None)[0]
     assert np.linalg.norm(along) < 1e-3 * np.linalg.norm(slope)

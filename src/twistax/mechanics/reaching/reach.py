@@ -161,7 +161,8 @@ def reach(
         iterations: the largest number of iterations from one seed.
     Raises:
         ModelError: an unknown frame; loop constraints; joints on other groups than SO(3) and SE(3); a mechanism without
-            moving joints; tasks whose targets are Controls, or whose errors do not depend on positions; constraints that are not inequalities of positions.
+            moving joints; tasks whose targets are Controls, or whose errors do not depend on positions; constraints
+            that are not inequalities of positions.
         InputError: targets or a start of the wrong shape, or not finite; numbers out of their range.
 
     Example:

@@ -228,7 +228,7 @@ class SeededSearch:
         curvature = jax.lax.cond(
             kept & ~restarted & (s.step >= options.neglecting),
             lambda: self._curvature(s.x, at, d, e, J),
-            lambda: jnp.where(restarted, 0.0, at.curvature),
+            lambda: jnp.where(restarted, jnp.zeros_like(at.curvature), at.curvature),
         )
         return state, after_step._replace(curvature=curvature)
 
