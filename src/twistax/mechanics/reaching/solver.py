@@ -68,7 +68,7 @@ class SearchOptions:
     most: float = 1e6
     first_share: float = 1e-2
     last_share: float = 1e-7
-    near: float = 1e-1
+    near: float = 1e-2
     fall: float = 0.1
     secondary_flat: float = 1e-5
 
@@ -322,6 +322,11 @@ class SeededSearch:
         start = (jnp.where(reached, 0, count), jnp.asarray(first, dtype), x)
         start = (*start, jnp.asarray(options.damping, dtype), e, J, e2, J2)
         end = jax.lax.while_loop(lambda carry: carry[0] < count, step, start)
-        improved, at_end, smaller = end[2], end[4], end[6]
+        improved, at_end, J = end[2], end[4], end[5]
+        # The last share leaves errors of its size; the shortest step removes them.
+        free = self._errors.space.free(improved, J.T @ at_end)
+        mu = np.finfo(dtype).eps * (jnp.sum(J * J) + 1.0)
+        improved = self._errors.space.moved(improved, self.least_squares(jnp.where(free[None], J, 0.0), at_end, mu))
+        at_end, smaller = self._errors(improved, targets, numbers)[0], self._errors.secondary(improved, numbers)[0]
         kept = reached & self.reached(at_end, numbers) & (jnp.sum(smaller**2) < jnp.sum(e2**2))
         return {name: jnp.where(kept, improved[name], value) for name, value in x.items()}
