@@ -223,12 +223,13 @@ class SeededSearch:
             least=jnp.where(better, after, s.least),
         )
         after_step = Linearised(jnp.where(kept, e, at.e), jnp.where(kept, J, at.J))
-        if at.curvature is None:
+        S = at.curvature
+        if S is None:
             return state, after_step
         curvature = jax.lax.cond(
             kept & ~restarted & (s.step >= options.neglecting),
             lambda: self._curvature(s.x, at, d, e, J),
-            lambda: jnp.where(restarted, jnp.zeros_like(at.curvature), at.curvature),
+            lambda: jnp.where(restarted, jnp.zeros_like(S), S),
         )
         return state, after_step._replace(curvature=curvature)
 
@@ -244,6 +245,7 @@ class SeededSearch:
         """The step with second derivatives. Degrees of freedom that would leave their limits end at them, and the step
         of the others is computed again.
         """
+        assert at.curvature is not None
         unit = np.eye(len(free), dtype=at.e.dtype)
         H, slope = at.J.T @ at.J + at.curvature + mu * unit, at.J.T @ at.e
         above, below = self._errors.space.margins(x, at.e.dtype)
@@ -261,6 +263,7 @@ class SeededSearch:
         """The approximation S after an accepted step d to a point with e and J. It agrees with their change along the
         step: $S d = (J_0 - J)^T e$.
         """
+        assert at.curvature is not None
         above, below = self._errors.space.margins(x, e.dtype)
         d = jnp.clip(d, -above, below)
         change, second = at.J.T @ at.e - J.T @ e, (at.J - J).T @ e
