@@ -274,10 +274,20 @@ def test_what_cannot_be_asked_for(unchecked: None) -> None:
         ),
         (lambda: controller(x, {}, qd=rest), "expects targets for 'flange_pose'"),
         (lambda: controller(x, {"hand": T}, qd=rest), "no target 'hand'"),
+        (lambda: DifferentialController(arm, tasks[0], dt=0.01), "expects a list of tasks"),
         (lambda: controller({}, {"flange_pose": T}, qd=rest), "x expects 'q'"),
+        (lambda: controller(HOME, {"flange_pose": T}, qd=rest), "x expects arrays by name"),
+        (lambda: controller(x, T, qd=rest), "targets expects arrays by name"),
+        (lambda: controller(x, {"flange_pose": "there"}, qd=rest), "flange_pose expects real numbers"),
+        (lambda: controller({"q": HOME + 0j}, {"flange_pose": T}, qd=rest), "q expects real numbers"),
+        (
+            lambda: jax.grad(lambda q: controller({"q": q}, {"flange_pose": T}, qd=rest).qd[0])(HOME),
+            "no derivatives in jax.grad",
+        ),
         (lambda: controller(x, {"flange_pose": T}), "velocities qd"),
         (lambda: controller.to_c("none"), "expects states and targets"),
     ]
     for call, message in wrong:
         with pytest.raises((InputError, ModelError), match=message):
             call()
+    assert controller({"q": HOME.tolist()}, {"flange_pose": T.tolist()}, qd=[0.0] * 7).status == StepStatus.SOLVED

@@ -15,6 +15,8 @@ from twistax.errors import InputError, ModelError
 from twistax.mechanics import (
     CenterOfMassTask,
     FrameTask,
+    ManipulabilityTask,
+    MomentumTask,
     PositionTask,
     PostureTask,
     ReachStatus,
@@ -42,6 +44,19 @@ def test_a_posture_is_of_the_second_priority() -> None:
     assert np.linalg.norm(left) < 1e-4
     alone = np.asarray(reach(arm, {"tip": target}, start={"q": np.array([0.1, 0.8, 0.5])}).x["q"])
     assert np.linalg.norm(q - wanted) < np.linalg.norm(alone - wanted) - 1e-3
+
+
+def test_manipulability_is_of_the_second_priority() -> None:
+    """Four joints reach a point; the free motion increases the manipulability."""
+    arm = mechanics.load(EXAMPLES / "panda.urdf").lock({"joint5": 0.0, "joint6": 1.0, "joint7": 0.0})
+    target, start = np.array([0.4, 0.2, 0.5]), {"q": np.array([0.3, 0.3, 0.1, -2.0])}
+    task = ManipulabilityTask("flange", target=1.0)
+    alone = reach(arm, {"flange": target}, start=start).x
+    result = reach(arm, {"flange": target}, secondary=[task], start=start)
+    assert result.status == ReachStatus.REACHED
+    before, after = (float(evaluated(task.error(arm), x)[0]) for x in (alone, result.x))
+    assert after < before - 1e-3
+    assert result.distance[0] < 1e-9
 
 
 def test_constraints_are_kept_or_named() -> None:
@@ -128,6 +143,8 @@ def test_what_cannot_be_asked_for(unchecked: None) -> None:
     wrong: list[tuple[Any, str]] = [
         ({"tasks": [FrameTask("joint1")]}, "none for 'joint1_pose'"),
         ({"tasks": ["joint1"]}, "reach expects tasks"),
+        ({"secondary": PostureTask(np.zeros(2))}, "reach expects a list of tasks"),
+        ({"secondary": [MomentumTask(np.ones(6))]}, "errors depend on positions, got MomentumTask"),
         ({"constraints": [arm.q[0] == 0.0]}, "expects inequalities as constraints"),
         ({"constraints": [tx.Time() <= 0.0]}, "expects expressions of positions"),
     ]

@@ -93,10 +93,14 @@ def test_momentum_limits_and_manipulability() -> None:
 
     def logarithm(q):
         J = lowered(0.0, {"q": q})
-        return 0.5 * jnp.linalg.slogdet(J @ J.T)[1]
+        return 0.5 * jnp.linalg.slogdet(J @ J.T + 1e-6 * np.eye(3))[1]
 
-    slope = evaluated(ManipulabilityTask("flange").jacobian(arm), {"q": q})
+    task = ManipulabilityTask("flange", target=0.2)
+    e, slope = evaluated([task.error(arm), task.jacobian(arm)], {"q": q})
+    assert np.allclose(e, np.log(0.2) - logarithm(q), atol=1e-12)
     assert np.allclose(slope[0], jax.grad(logarithm)(q), atol=1e-9)
+    stretched = evaluated([task.error(arm), task.jacobian(arm)], {"q": np.zeros(4, np.float32)})  # singular
+    assert all(np.isfinite(value).all() for value in stretched)
 
 
 def test_operational_space_and_computed_torque() -> None:
@@ -127,6 +131,7 @@ def test_what_is_no_task(unchecked: None) -> None:
         (lambda: FrameTask("nothing").error(arm), "no frame 'nothing'"),
         (lambda: PostureTask(joints=["nothing"]).error(arm), "joint 'nothing'"),
         (lambda: PostureTask(joints=["root"]).error(TREE), "on a group"),
+        (lambda: ManipulabilityTask("flange", target=0.0).error(arm), "target to be positive"),
         (lambda: ManipulabilityTask("joint1").jacobian(mechanics.chain_models.equal_links(2)), "singular everywhere"),
     ):
         with pytest.raises(ModelError, match=message):

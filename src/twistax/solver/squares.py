@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..errors import InputError
 from .library import library
 
 #: The fields of `twx_squares`.
@@ -94,5 +95,14 @@ class LeastSquares:
         def batched(size: int, mapped: list[bool], problems: Any) -> tuple[Any, bool]:
             return solved(problems), True
 
-        result: jax.Array = solved(problem)
+        constant = jax.custom_jvp(lambda values: solved(values))
+        constant.defjvp(_no_derivatives)
+        result: jax.Array = constant(problem)
         return result
+
+
+def _no_derivatives(*_: Any) -> Any:
+    raise InputError(
+        "the solution of a quadratic program with limits has no derivatives in jax.grad.\n"
+        "  fix: pass jax.lax.stop_gradient(...) of its arguments, such as the positions of a DifferentialController"
+    )

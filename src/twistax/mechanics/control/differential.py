@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...checks import instance, listed, number, reals
+from ...checks import instance, listed, number, real_array, reals
 from ...errors import InputError, ModelError
 from ...progress import watched
 from ...scalar.varying_entries import varying_entries
@@ -194,7 +194,11 @@ class DifferentialController:
             warm: the previous step, whose active set is tried first.
         Raises: InputError for unknown or missing names, or arrays of the wrong shape.
         """
-        targets = dict(targets or {})
+        mapping = "arrays by name, such as {'q': q}"
+        instance("DifferentialController: x", x, Mapping, mapping, InputError)
+        instance("DifferentialController: targets", targets, Mapping | None, mapping, InputError)
+        x = {name: _real(name, value) for name, value in x.items()}
+        targets = {name: _real(name, value) for name, value in (targets or {}).items()}
         known = [leaf.name for leaf in (*self.controls, *self.parameters)]
         if unknown := [name for name in targets if name not in known]:
             raise InputError(f"DifferentialController has no target {unknown[0]!r}; known are {listed(known)}")
@@ -207,12 +211,13 @@ class DifferentialController:
             raise InputError(
                 "DifferentialController expects the present velocities qd, because it has acceleration limits"
             )
+        qd = _real("qd", qd) if limited else None
         if limited and np.shape(qd) != (self.mechanism.dofs,):
             raise InputError(f"DifferentialController expects qd ({self.mechanism.dofs},), got {np.shape(qd)}")
         instance("DifferentialController: warm", warm, DifferentialStep | None, "the step before", InputError)
         params = {leaf.name: targets.pop(leaf.name, leaf.value) for leaf in self.parameters}
         start = np.zeros(self.solver.start_size) if warm is None else warm.start
-        arguments = (dict(x), targets, params, qd if limited else None, start, self.settings.arrays)
+        arguments = (x, targets, params, qd, start, self.settings.arrays)
         # The first call compiles; later ones are too short for a progress message.
         with contextlib.nullcontext() if self._compiled else watched("DifferentialController"):
             step: DifferentialStep = self._call(*arguments)
@@ -309,6 +314,15 @@ class DifferentialController:
     @staticmethod
     def _split(values: jax.Array, sizes: Sequence[int]) -> list[jax.Array]:
         return jnp.split(values, np.cumsum(sizes)[:-1]) if sizes else []
+
+
+def _real(name: str, value: Any) -> Any:
+    """The value as an array of real numbers. Usual arrays are returned without a call of NumPy, which takes time in a
+    loop of control.
+    """
+    if (type(value) is np.ndarray or isinstance(value, jax.Array)) and value.dtype.kind in "fiu":
+        return value
+    return real_array(f"DifferentialController: {name}", value)
 
 
 class _Settings:

@@ -108,12 +108,10 @@ class Pair:
             return b.value(-(T[:3, :3].T @ T[:3, 3])) - a.radius
         if isinstance(b, HalfSpace):
             return -Dot(T[:3, 2], T[:3, 3]) - self._reach(T[:3, 2])
-        if isinstance(a, Rounded) and isinstance(b, Rounded):
-            # The formula of two boxes has a thousand operations, that of a capsule or a ball is faster than a search.
-            if table is None or min(len(a.directions), len(b.directions)) < 3:
-                return _apart(a, b, T)
-        if table is not None and not isinstance(a, Cylinder):
+        if table is not None and not isinstance(a, Cylinder) and _by_search(a, b):
             return table.distance(a, b, T)
+        if isinstance(a, Rounded) and isinstance(b, Rounded):
+            return _apart(a, b, T)
         functions, key = {} if functions is None else functions, (_key(a), _key(b))
         if key not in functions:
             functions[key] = Function(self.of_arrays(), (), name="signed_distance")
@@ -181,6 +179,15 @@ def _has_volume(solid: Rounded | ConvexPolytope | Cylinder) -> bool:
 
 def _core(owner: str, solid: Solid) -> Rounded | ConvexPolytope | Cylinder:
     return solid if isinstance(solid, (ConvexPolytope, Cylinder)) else rounded(owner, solid)
+
+
+def _by_search(a: Rounded | ConvexPolytope, b: Rounded | ConvexPolytope) -> bool:
+    """Whether the search of a table is to be preferred. The formula of two boxes has a thousand operations; that of a
+    box and a capsule or a ball is faster.
+    """
+    if isinstance(a, ConvexPolytope) or isinstance(b, ConvexPolytope):
+        return True
+    return len(a.directions) == len(b.directions) == 3
 
 
 def _apart(a: Rounded, b: Rounded, T: Expr) -> Expr:

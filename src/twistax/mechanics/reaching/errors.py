@@ -23,7 +23,7 @@ import numpy as np
 
 from ...checks import listed
 from ...errors import ModelError
-from ...expr import State
+from ...expr import State, leaves_of, to_expr
 from ..kinematic_tree import KinematicTree
 from ..tasks.configuration_space import Arrays, ConfigurationSpace
 from ..tasks.frame import OrientationTask, PositionTask
@@ -46,7 +46,7 @@ class ReachErrors:
         turns: by block whether it is the orientation of a target.
         size: the total number of rows.
     Raises: ModelError for unknown frames; a mechanism with loop constraints, or with joints on other groups; tasks
-        whose targets are controls.
+        whose targets are controls, or whose errors do not depend on positions.
     """
 
     def __init__(
@@ -67,8 +67,10 @@ class ReachErrors:
             if pose:
                 every.append(OrientationTask(frame, target[:3, :3]))
         further = TaskRows("reach", self.space, tasks)
-        self._tasks = TaskRows("reach", self.space, [*every, *further.tasks])
         self._secondary = TaskRows("reach", self.space, secondary)
+        for task in (*further.tasks, *self._secondary.tasks):
+            self._need_positions(task)
+        self._tasks = TaskRows("reach", self.space, [*every, *further.tasks])
         self.constraints = ConstraintRows("reach", self.space, dict(constraints))
         parts = [*(further.expressions or ()), *(self._secondary.expressions or ())]
         parts += [] if self.constraints.expression is None else [self.constraints.expression]
@@ -83,6 +85,14 @@ class ReachErrors:
         self._parameters = {leaf.name: leaf.value for leaf in parameters if leaf.value is not None}
         shared = (tuple(self.shapes.items()), tuple(self.constraints.sizes.items()), tuple(self._secondary.sizes))
         self._key = (mechanism, tuple(further.sizes), *shared, *(part.key() for part in parts))
+
+    def _need_positions(self, task: Task) -> None:
+        """Raise ModelError for a task of velocities, whose error no positions reduce."""
+        if not any(isinstance(leaf, State) for leaf in leaves_of(to_expr(task.error(self.space.mechanism)))):
+            raise ModelError(
+                f"reach expects tasks whose errors depend on positions, got {type(task).__name__}.\n"
+                "  fix: use it in a DifferentialController; a ManipulabilityTask needs a target here"
+            )
 
     @staticmethod
     @functools.lru_cache(maxsize=32)

@@ -23,6 +23,7 @@ from ...system.system import constraints_by_name
 from ..algorithms.dynamics import checked
 from ..kinematic_tree import KinematicTree
 from ..tasks.configuration_space import Arrays, ConfigurationSpace
+from ..tasks.rows import several
 from ..tasks.task import Task
 from .errors import ReachErrors
 from .solver import SearchEnd, SearchOptions, SeededSearch
@@ -160,14 +161,15 @@ def reach(
         iterations: the largest number of iterations from one seed.
     Raises:
         ModelError: an unknown frame; loop constraints; joints on other groups than SO(3) and SE(3); a mechanism without
-            moving joints; tasks whose targets are Controls; constraints that are not inequalities of positions.
+            moving joints; tasks whose targets are Controls, or whose errors do not depend on positions; constraints
+            that are not inequalities of positions.
         InputError: targets or a start of the wrong shape, or not finite; numbers out of their range.
 
     Example:
         `reach(arm, {"flange": tx.pose(position=[0.4, 0.1, 0.5])}).x["q"]`
     """
     checked("reach", mechanism)
-    tasks, secondary = tuple(tasks), tuple(secondary)
+    tasks, secondary = several("reach", tasks), several("reach", secondary)
     arrays, leading = _targets(mechanism, targets, bool(tasks))
     for name, value in (("seeds", seeds), ("candidates", candidates), ("iterations", iterations)):
         whole(f"reach: {name}", value, 1)
@@ -265,7 +267,7 @@ class _Reacher:
         parts = [self._feature(name, np.asarray(poses[name])) for name in self._frames]
         self._features = np.concatenate([np.zeros((seeds * candidates, 0)), *parts], axis=1)
         self._search = SeededSearch(self.errors, options)
-        self._one = part_of_package(self._search.one)
+        self._begun, self._ended = part_of_package(self._search.begun), part_of_package(self._search.ended)
         self._call = jax.jit(self._all, static_argnums=3)
 
     @staticmethod
@@ -310,9 +312,19 @@ class _Reacher:
         numbers = jax.tree.map(lambda value: jnp.asarray(value, dtype), numbers)
         if start is not None:
             seeds = {n: s.at[:, 0].set(jax.lax.stop_gradient(start[n]).astype(s.dtype)) for n, s in seeds.items()}
-        solution: SearchEnd = jax.vmap(self._one, (0, 0, None))(still, seeds, numbers)
-        solution = jax.tree.map(jax.lax.stop_gradient, solution)
+        solution = jax.tree.map(jax.lax.stop_gradient, self._solutions(still, seeds, numbers))
         return jax.vmap(self._polished, (0, 0, None))(targets, solution, numbers)
+
+    def _solutions(self, targets: Arrays, seeds: Arrays, numbers: Arrays) -> SearchEnd:
+        """The searches for all targets. Those that go on are neighbours: a kernel takes the steps of neighbours
+        together.
+        """
+        begun = jax.vmap(self._begun, (0, 0, None))(targets, seeds, numbers)
+        order = jnp.argsort(~jax.vmap(self._search.going_on)(begun, seeds), stable=True)
+        ordered = jax.tree.map(lambda a: a[order], (begun, targets, seeds))
+        solution: SearchEnd = jax.vmap(self._ended, (0, 0, 0, None))(*ordered, numbers)
+        places = jnp.argsort(order)
+        return jax.tree.map(lambda a: a[places], solution)
 
     def _polished(self, targets: Arrays, solution: SearchEnd, numbers: Arrays) -> ReachResult:
         """For one target: a last Gauss-Newton step if it is reached, and the attributes of the result."""

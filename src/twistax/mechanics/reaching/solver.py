@@ -28,6 +28,7 @@ highly redundant robotic systems, ICAR (1991), for secondary tasks.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -53,6 +54,8 @@ class SearchOptions:
         least, most: bounds of the damping as a fraction of |e|^2; above the upper one the search from a seed ends.
         first_share, last_share: the weight of |e|^2 of secondary tasks relative to that of the others, at the first and
             the last step.
+        near: the steepness below which this weight falls by the factor `fall` at once.
+        secondary_flat: the steepness at which the steps for secondary tasks end, at the last share.
     """
 
     iterations: int
@@ -65,6 +68,9 @@ class SearchOptions:
     most: float = 1e6
     first_share: float = 1e-2
     last_share: float = 1e-7
+    near: float = 1e-2
+    fall: float = 0.1
+    secondary_flat: float = 1e-5
 
     def flat_in(self, dtype: Any) -> float:
         """`flat`, or in low precision the slope at which a step changes |e|^2 by less than its rounding."""
@@ -84,45 +90,82 @@ class SearchEnd(NamedTuple):
 
 
 class ReachState(NamedTuple):
+    """The search for one target, between two steps."""
+
     x: Arrays
-    e: jax.Array
-    J: jax.Array
     damping: jax.Array
-    step: jax.Array
+    step: jax.Array  # from this seed
     seed: jax.Array
     turned: jax.Array  # whether degrees of freedom at their limits were moved to the middle, for this seed
     steps: jax.Array
     minima: jax.Array
     best: Arrays
     least: jax.Array
-    curvature: jax.Array  # (n, n) S
+
+
+class Linearised(NamedTuple):
+    """The errors at the positions of a state, and what approximates their derivatives."""
+
+    e: jax.Array
+    J: jax.Array
+    curvature: jax.Array | None = None  # (n, n) S; None: it is neglected
 
 
 class SeededSearch:
-    """The search for one target, by the errors of its frames."""
+    """The search for one target, by the errors of its frames.
+
+    It consists of two loops, because the members of a batch take the steps of a loop together: those that need second
+    derivatives go on in the second one.
+    """
 
     def __init__(self, errors: ReachErrors, options: SearchOptions) -> None:
         self._errors, self._options = errors, options
         self._solves: dict[int, Any] = {}
 
-    def one(self, targets: Arrays, seeds: Arrays, numbers: Arrays) -> SearchEnd:
-        """The best positions for a target, from seeds (count, ...), with the numbers of `ReachErrors` and the
-        tolerances.
+    def begun(self, targets: Arrays, seeds: Arrays, numbers: Arrays) -> ReachState:
+        """The search for a target from seeds (count, ...), until it is over or needs second derivatives.
+
+        Args:
+            numbers: those of `ReachErrors`, and the tolerances.
         """
-        count = next(iter(seeds.values())).shape[0]
         start = {name: value[0] for name, value in seeds.items()}
-        e, J = self._errors(start, targets, numbers)
-        zero, damping = jnp.zeros((), dtype=jnp.int32), jnp.asarray(self._options.damping, e.dtype)
-        curvature = jnp.zeros((J.shape[1], J.shape[1]), e.dtype)
-        last = jax.lax.while_loop(
-            lambda s: (s.seed < count) & ~self.reached(s.e, numbers),
-            lambda s: self._next(s, targets, seeds, numbers),
-            ReachState(start, e, J, damping, zero, zero, zero > 0, zero, zero, start, jnp.sum(e * e), curvature),
-        )
-        x = self._improved(last.best, targets, numbers) if self._errors.has_secondary else last.best
+        at = Linearised(*self._errors(start, targets, numbers))
+        zero, damping = jnp.zeros((), dtype=jnp.int32), jnp.asarray(self._options.damping, at.e.dtype)
+        s = ReachState(start, damping, zero, zero, zero > 0, zero, zero, start, jnp.sum(at.e * at.e))
+        return self._searched(s, at, targets, seeds, numbers, lambda s: s.step < self._options.neglecting)
+
+    def ended(self, s: ReachState, targets: Arrays, seeds: Arrays, numbers: Arrays) -> SearchEnd:
+        """The best positions for a target, by the rest of a search."""
+        count = next(iter(seeds.values())).shape[0]
+        e, J = self._errors(s.x, targets, numbers)
+        at = Linearised(e, J, jnp.zeros((J.shape[1], J.shape[1]), e.dtype))
+        s = self._searched(s, at, targets, seeds, numbers, lambda s: s.seed < count)
+        x = self._improved(s.best, targets, numbers) if self._errors.has_secondary else s.best
         e, J = self._errors(x, targets, numbers)
         free, share = self._steepness(x, e, J)
-        return SearchEnd(x, e, free, share, last.minima, jnp.minimum(last.seed + 1, count), last.steps)
+        return SearchEnd(x, e, free, share, s.minima, jnp.minimum(s.seed + 1, count), s.steps)
+
+    def going_on(self, s: ReachState, seeds: Arrays) -> jax.Array:
+        """Whether a search that has begun is not over."""
+        return (s.step >= self._options.neglecting) & (s.seed < next(iter(seeds.values())).shape[0])
+
+    def _searched(
+        self,
+        s: ReachState,
+        at: Linearised,
+        targets: Arrays,
+        seeds: Arrays,
+        numbers: Arrays,
+        more: Callable[[ReachState], jax.Array],
+    ) -> ReachState:
+        count = next(iter(seeds.values())).shape[0]
+        state: ReachState
+        state, _ = jax.lax.while_loop(
+            lambda pair: (pair[0].seed < count) & more(pair[0]) & ~self.reached(pair[1].e, numbers),
+            lambda pair: self._next(*pair, targets, seeds, numbers),
+            (s, at),
+        )
+        return state
 
     def least_squares(self, J: jax.Array, e: jax.Array, mu: Any) -> jax.Array:
         """The minimum of $|e - J d|^2 + mu |d|^2$, by the smaller of two equivalent linear systems."""
@@ -147,10 +190,12 @@ class SeededSearch:
         solution: jax.Array = self._solves[size](0.0, {"G": G, "e": e})
         return solution
 
-    def _next(self, s: ReachState, targets: Arrays, seeds: Arrays, numbers: Arrays) -> ReachState:
+    def _next(
+        self, s: ReachState, at: Linearised, targets: Arrays, seeds: Arrays, numbers: Arrays
+    ) -> tuple[ReachState, Linearised]:
         """One step, or the start from the next seed."""
         options, count = self._options, next(iter(seeds.values())).shape[0]
-        free, share = self._steepness(s.x, s.e, s.J)
+        free, share = self._steepness(s.x, at.e, at.J)
         minimum = share <= options.flat_in(share.dtype)
         over = minimum | (s.damping > options.most)
         turns = over & ~s.turned & ~jnp.all(free) & (s.step < options.iterations)
@@ -158,18 +203,16 @@ class SeededSearch:
         restarted = turns | ended
         seed = s.seed + ended.astype(jnp.int32)
         fresh = {name: value[jnp.minimum(seed, count - 1)] for name, value in seeds.items()}
-        d = jnp.where(turns, self._errors.space.to_middle(s.x, ~free), self._step(s, free))
+        d = jnp.where(turns, self._errors.space.to_middle(s.x, ~free), self._step(s, at, free))
         stepped = self._errors.space.moved(s.x, d)
         trial = {name: jnp.where(ended, fresh[name], value) for name, value in stepped.items()}
         e, J = self._errors(trial, targets, numbers)
-        before, after = jnp.sum(s.e * s.e), jnp.sum(e * e)
+        before, after = jnp.sum(at.e * at.e), jnp.sum(e * e)
         kept = restarted | (after < before)
         damping = jnp.where(kept, jnp.maximum(s.damping * options.shrink, options.least), s.damping * options.grow)
         better = after < s.least
-        return ReachState(
+        state = ReachState(
             x={name: jnp.where(kept, value, s.x[name]) for name, value in trial.items()},
-            e=jnp.where(kept, e, s.e),
-            J=jnp.where(kept, J, s.J),
             damping=jnp.where(restarted, options.damping, damping).astype(e.dtype),
             step=jnp.where(ended, 0, s.step + 1),
             seed=seed,
@@ -178,28 +221,34 @@ class SeededSearch:
             minima=s.minima + (minimum & restarted & ~s.turned).astype(jnp.int32),
             best={name: jnp.where(better, value, s.best[name]) for name, value in trial.items()},
             least=jnp.where(better, after, s.least),
-            curvature=jax.lax.cond(
-                kept & ~restarted & (s.step >= options.neglecting),
-                lambda: self._curvature(s, d, e, J),
-                lambda: jnp.where(restarted, jnp.zeros_like(s.curvature), s.curvature),
-            ),
         )
-
-    def _step(self, s: ReachState, free: jax.Array) -> jax.Array:
-        mu = s.damping * jnp.sum(s.e * s.e) + np.finfo(s.e.dtype).eps * jnp.sum(s.J * s.J)
-        return jax.lax.cond(
-            s.step >= self._options.neglecting,
-            lambda: self._newton_step(s, free, mu),
-            lambda: self.least_squares(jnp.where(free[None], s.J, 0.0), s.e, mu),
+        after_step = Linearised(jnp.where(kept, e, at.e), jnp.where(kept, J, at.J))
+        S = at.curvature
+        if S is None:
+            return state, after_step
+        curvature = jax.lax.cond(
+            kept & ~restarted & (s.step >= options.neglecting),
+            lambda: self._curvature(s.x, at, d, e, J),
+            lambda: jnp.where(restarted, jnp.zeros_like(S), S),
         )
+        return state, after_step._replace(curvature=curvature)
 
-    def _newton_step(self, s: ReachState, free: jax.Array, mu: jax.Array) -> jax.Array:
+    def _step(self, s: ReachState, at: Linearised, free: jax.Array) -> jax.Array:
+        mu = s.damping * jnp.sum(at.e * at.e) + np.finfo(at.e.dtype).eps * jnp.sum(at.J * at.J)
+        first = lambda: self.least_squares(jnp.where(free[None], at.J, 0.0), at.e, mu)  # noqa: E731
+        if at.curvature is None:
+            return first()
+        later = lambda: self._newton_step(s.x, at, free, mu)  # noqa: E731
+        return jax.lax.cond(s.step >= self._options.neglecting, later, first)
+
+    def _newton_step(self, x: Arrays, at: Linearised, free: jax.Array, mu: jax.Array) -> jax.Array:
         """The step with second derivatives. Degrees of freedom that would leave their limits end at them, and the step
         of the others is computed again.
         """
-        unit = np.eye(len(free), dtype=s.e.dtype)
-        H, slope = s.J.T @ s.J + s.curvature + mu * unit, s.J.T @ s.e
-        above, below = self._errors.space.margins(s.x, s.e.dtype)
+        assert at.curvature is not None
+        unit = np.eye(len(free), dtype=at.e.dtype)
+        H, slope = at.J.T @ at.J + at.curvature + mu * unit, at.J.T @ at.e
+        above, below = self._errors.space.margins(x, at.e.dtype)
 
         def solved(free: jax.Array, fixed: jax.Array) -> jax.Array:
             open_H = jnp.where(free[:, None] & free[None], H, unit)
@@ -210,21 +259,22 @@ class SeededSearch:
         end = jnp.where(outside, jnp.clip(d, -above, below), 0.0)
         return jax.lax.cond(jnp.any(outside), lambda: solved(free & ~outside, end), lambda: d)
 
-    def _curvature(self, s: ReachState, d: jax.Array, e: jax.Array, J: jax.Array) -> jax.Array:
+    def _curvature(self, x: Arrays, at: Linearised, d: jax.Array, e: jax.Array, J: jax.Array) -> jax.Array:
         """The approximation S after an accepted step d to a point with e and J. It agrees with their change along the
         step: $S d = (J_0 - J)^T e$.
         """
-        above, below = self._errors.space.margins(s.x, e.dtype)
+        assert at.curvature is not None
+        above, below = self._errors.space.margins(x, e.dtype)
         d = jnp.clip(d, -above, below)
-        change, second = s.J.T @ s.e - J.T @ e, (s.J - J).T @ e
-        before = s.curvature @ d
+        change, second = at.J.T @ at.e - J.T @ e, (at.J - J).T @ e
+        before = at.curvature @ d
         size = jnp.abs(d @ second) / jnp.maximum(jnp.abs(d @ before), np.finfo(e.dtype).tiny)
         size = jnp.minimum(size, 1.0)
         convex = d @ change > np.finfo(e.dtype).eps * jnp.sum(d * d)
         y = jnp.where(convex, change / jnp.where(convex, d @ change, 1.0), 0.0)
         missing = second - size * before
         update = missing[:, None] * y[None] + y[:, None] * missing[None] - (missing @ d) * (y[:, None] * y[None])
-        return size * s.curvature + update
+        return size * at.curvature + update
 
     def _steepness(self, x: Arrays, e: jax.Array, J: jax.Array) -> tuple[jax.Array, jax.Array]:
         """The degrees of freedom that may follow the gradient of |e|^2, and the gradient's length as a fraction of |J|
@@ -241,30 +291,45 @@ class SeededSearch:
         """Positions, starting from x, at which secondary tasks have a smaller error; x if the target is not reached.
 
         Steps of damped least squares of $|e|^2 + s |e_2|^2$, with the share s of the secondary tasks falling to nearly
-        zero: they move along the solutions of the others.
+        zero: they move along the solutions of the others. The share falls at a least rate, and faster near minima.
         """
         options, count = self._options, self._options.iterations
         e, J = self._errors(x, targets, numbers)
         e2, J2 = self._errors.secondary(x, numbers)
         first, last = np.log(options.first_share), np.log(options.last_share)
+        reached, dtype = self.reached(e, numbers), e.dtype
 
-        def step(k: jax.Array, carry: Any) -> Any:
-            x, damping, e, J, e2, J2 = carry
-            share = jnp.exp(first + (last - first) * (k.astype(e.dtype) / max(count - 1, 1))).astype(e.dtype)
+        def step(carry: Any) -> Any:
+            k, log_share, x, damping, e, J, e2, J2 = carry
+            share = jnp.exp(log_share)
             slope = J.T @ e + share * (J2.T @ e2)
             free = self._errors.space.free(x, slope)
+            size = jnp.maximum(share**2 * jnp.sum(J2 * J2) * jnp.sum(e2 * e2), np.finfo(dtype).tiny)
+            steepness = jnp.sqrt(jnp.sum(jnp.where(free, slope, 0.0) ** 2) / size)
             G = jnp.where(free[:, None] & free[None], J.T @ J + share * (J2.T @ J2), 0.0)
-            mu = damping * share * jnp.sum(e2 * e2) + np.finfo(e.dtype).eps * (jnp.sum(J * J) + 1.0)
-            d = self._solve(G + mu * np.eye(len(slope), dtype=e.dtype), jnp.where(free, slope, 0.0))
+            mu = damping * share * jnp.sum(e2 * e2) + np.finfo(dtype).eps * (jnp.sum(J * J) + 1.0)
+            d = self._solve(G + mu * np.eye(len(slope), dtype=dtype), jnp.where(free, slope, 0.0))
             trial = self._errors.space.moved(x, d)
             after, after2 = self._errors(trial, targets, numbers), self._errors.secondary(trial, numbers)
             before = jnp.sum(e * e) + share * jnp.sum(e2 * e2)
             kept = jnp.sum(after[0] ** 2) + share * jnp.sum(after2[0] ** 2) < before
             damping = jnp.where(kept, jnp.maximum(damping * options.shrink, options.least), damping * options.grow)
             now = [jnp.where(kept, new, old) for new, old in zip((*after, *after2), (e, J, e2, J2), strict=True)]
-            return {name: jnp.where(kept, trial[name], value) for name, value in x.items()}, damping, *now
+            x = {name: jnp.where(kept, trial[name], value) for name, value in x.items()}
+            over = (log_share <= last) & (steepness <= options.secondary_flat)
+            latest = first + (last - first) * ((k + 1).astype(dtype) / max(count - 1, 1))
+            faster = jnp.where(steepness <= options.near, log_share + np.log(options.fall), log_share)
+            following = jnp.maximum(jnp.minimum(faster, latest), last).astype(dtype)
+            return jnp.where(over, count, k + 1), following, x, damping, *now
 
-        start = (x, jnp.asarray(options.damping, e.dtype), e, J, e2, J2)
-        improved, _, at_end, _, smaller, _ = jax.lax.fori_loop(0, count, step, start)
-        kept = self.reached(e, numbers) & self.reached(at_end, numbers) & (jnp.sum(smaller**2) < jnp.sum(e2**2))
+        start = (jnp.where(reached, 0, count), jnp.asarray(first, dtype), x)
+        start = (*start, jnp.asarray(options.damping, dtype), e, J, e2, J2)
+        end = jax.lax.while_loop(lambda carry: carry[0] < count, step, start)
+        improved, at_end, J = end[2], end[4], end[5]
+        # The last share leaves errors of its size; the shortest step removes them.
+        free = self._errors.space.free(improved, J.T @ at_end)
+        mu = np.finfo(dtype).eps * (jnp.sum(J * J) + 1.0)
+        improved = self._errors.space.moved(improved, self.least_squares(jnp.where(free[None], J, 0.0), at_end, mu))
+        at_end, smaller = self._errors(improved, targets, numbers)[0], self._errors.secondary(improved, numbers)[0]
+        kept = reached & self.reached(at_end, numbers) & (jnp.sum(smaller**2) < jnp.sum(e2**2))
         return {name: jnp.where(kept, improved[name], value) for name, value in x.items()}

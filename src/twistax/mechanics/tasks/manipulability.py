@@ -7,8 +7,10 @@ import dataclasses
 import jax
 import numpy as np
 
+from ...checks import short
 from ...errors import ModelError
-from ...expr import Concat, Constant, Expr, InversePositive, State, Sum, leaves_of
+from ...expr import Concat, Constant, Expr, InverseFactor, InversePositive, Log, State, Sum, leaves_of
+from ...expr.fields import ExprLike
 from ...system.lower import lower
 from ..algorithms.jacobians import BODY, frame_jacobian, frame_jacobian_rate
 from ..kinematic_tree import KinematicTree
@@ -17,31 +19,55 @@ from .task import Task
 
 #: Singular values of a Jacobian below this are zero, in m or without unit.
 _RANK = 1e-9
+#: s, the size of singular values, in m or without unit, below which the manipulability does not decrease further.
+_SMALLEST = 1e-3
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ManipulabilityTask(Task):
-    """Increases the manipulability $m = sqrt(det(J J^T))$ of a frame: the gain is the desired rate of $log m$ per
-    second. The error is 1, and the Jacobian is $(log m)_i = tr((J J^T)^-1 J_i J^T)$ with the derivatives $J_i$ of the
-    frame's Jacobian.
+    """Increases the manipulability $m = sqrt(det G)$ of a frame, with $G = J J^T + s^2 1$ and $s = 10^-3$.
 
-    Source: T. Yoshikawa, Manipulability of robotic mechanisms, International Journal of Robotics Research 4 (1985).
+    Without a target, the error is 1, and the gain is the desired rate of $log m$ per second. With a target $m_d$, the
+    error is $log(m_d / m)$. The Jacobian is $(log m)_i = tr(G^-1 J_i J^T)$ with the derivatives $J_i$ of the frame's
+    Jacobian. The term $s^2$ is negligible except near singular configurations, where it keeps G invertible.
+
+    Source: T. Yoshikawa, Manipulability of robotic mechanisms, International Journal of Robotics Research 4 (1985); Y.
+    Nakamura, H. Hanafusa, Inverse kinematic solutions with singularity robustness, Journal of Dynamic Systems,
+    Measurement, and Control 108 (1986), for $s^2$.
 
     Attributes:
         frame: the name of the frame.
         angular: whether J includes the rows of the angular velocity.
+        target: $m_d$, a positive number or an expression; None: no target. `reach` needs one.
         weight, gain, damping: as for `Task`.
-    Raises: ModelError for a frame whose Jacobian has fewer degrees of freedom than rows, or is singular everywhere.
+    Raises: ModelError for a frame whose Jacobian has fewer degrees of freedom than rows, or is singular everywhere; for
+        a target that is not positive.
     """
 
     frame: str
     angular: bool = False
+    target: ExprLike | None = dataclasses.field(default=None, kw_only=True)
     gain: float | None = dataclasses.field(default=1.0, kw_only=True)
 
     def error(self, mechanism: KinematicTree) -> Expr:
-        return Constant(np.ones(1))
+        if self.target is None:
+            return Constant(np.ones(1))
+        target = self._target(f"{self.frame}_manipulability", self.target, ())
+        if not isinstance(self.target, Expr) and not np.asarray(self.target) > 0.0:
+            raise ModelError(f"ManipulabilityTask expects target to be positive, got {short(self.target)}")
+        factor = InverseFactor(self._gram(self._rows(mechanism)))  # V with G^-1 = V V^T, so m is 1 / det(V)
+        k = np.arange(factor.shape[0])
+        return (Log(target) + Sum(Log(factor[k, k])))[None]
 
     def jacobian(self, mechanism: KinematicTree) -> Expr:
+        J, n = self._rows(mechanism), mechanism.dofs
+        K = InversePositive(self._gram(J)) @ J
+        rows = J.shape[0]
+        slopes = [frame_jacobian_rate(mechanism, self.frame, qd=unit, axes=BODY)[:rows] for unit in np.eye(n)]
+        return Concat(*(Sum(K * slope) for slope in slopes))[None]
+
+    def _rows(self, mechanism: KinematicTree) -> Expr:
+        """The Jacobian of the frame."""
         rows, n = 6 if self.angular else 3, mechanism.dofs
         if n < rows:
             raise ModelError(f"ManipulabilityTask: a Jacobian ({rows}, {n}) is singular everywhere")
@@ -51,9 +77,11 @@ class ManipulabilityTask(Task):
                 f"ManipulabilityTask: the Jacobian ({rows}, {n}) of {self.frame!r} is singular everywhere, "
                 "for example because the arm moves in a plane"
             )
-        K = InversePositive(J @ J.T) @ J
-        slopes = [frame_jacobian_rate(mechanism, self.frame, qd=unit, axes=BODY)[:rows] for unit in np.eye(n)]
-        return Concat(*(Sum(K * slope) for slope in slopes))[None]
+        return J
+
+    @staticmethod
+    def _gram(J: Expr) -> Expr:
+        return J @ J.T + Constant(_SMALLEST**2 * np.eye(J.shape[0]))
 
 
 def _singular_everywhere(mechanism: KinematicTree, J: Expr) -> bool:

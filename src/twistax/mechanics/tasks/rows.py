@@ -33,7 +33,7 @@ class TaskRows:
     """
 
     def __init__(self, owner: str, space: ConfigurationSpace, tasks: Iterable[Task]) -> None:
-        self.tasks, self._dofs = tuple(tasks), space.mechanism.dofs
+        self.tasks, self._dofs = several(owner, tasks), space.mechanism.dofs
         for task in self.tasks:
             if not isinstance(task, Task):
                 raise ModelError(f"{owner} expects tasks, such as FrameTask, got {short(task)}")
@@ -71,6 +71,13 @@ class TaskRows:
             return jnp.zeros(0, dtype_of(x)), jnp.zeros((0, self._dofs), dtype_of(x))
         e, J = self._lowered(0.0, x, *of_leaves(leaves_of(*(self.expressions or ())), u, params))
         return e, J
+
+
+def several(owner: str, tasks: Iterable[Task]) -> tuple[Task, ...]:
+    """The tasks of a list. Raises ModelError for another object, such as one task."""
+    if not isinstance(tasks, Iterable) or isinstance(tasks, str):
+        raise ModelError(f"{owner} expects a list of tasks, got {short(tasks)}.\n  fix: [task] is a list of one task")
+    return tuple(tasks)
 
 
 def _numbers(tasks: Sequence[Task], sizes: Sequence[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
