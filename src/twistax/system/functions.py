@@ -17,7 +17,7 @@ from ..expr import Control, Equality, Expr, Inputs, Parameter, State, evaluate_a
 from ..expr.functions.function import Call
 from ..expr.transformations.vmap import elements_by
 from ..jax_inside import is_traced
-from ..progress import say_once, watched
+from ..progress import FirstCalls, say_once, watched
 from ..scalar.backends import Backend, Emission, has_members
 from ..scalar.graph import TooLarge
 from ..scalar.jax_primitive import Derived, call_program
@@ -79,7 +79,6 @@ class Functions:
         constraints: the simplified residuals of "inequality" and "equality", by name.
         steps: a cache, of 32 entries, of the compiled steps of integrators.
         hessians: a cache of the programs of Hessians.
-        jitted: the function `evaluate`, in the form for calls.
         loops: a cache of the jitted functions of integrators, which read a `twin` of this object.
     """
 
@@ -106,7 +105,7 @@ class Functions:
         self.steps, self.hessians, self.loops = Cache(32), Cache(32), Cache(32)
         self._made, self._outside = Cache(64), False
         self.without_kernel = _without_kernel(self.families["rates"], backend)
-        self.jitted, self._called = _for_calls(self), set[str]()
+        self._jitted, self._first_calls = _for_calls(self), FirstCalls("compile")
 
     # ---- copies with other options -----------------------------------------------------------------------------------
 
@@ -132,8 +131,8 @@ class Functions:
 
     def _changed(self, **changes: Any) -> Functions:
         twin = object.__new__(Functions)
-        twin.__dict__.update(self.__dict__, _called=set[str](), **changes)
-        twin.jitted = _for_calls(twin)
+        twin.__dict__.update(self.__dict__, **changes)
+        twin._jitted, twin._first_calls = _for_calls(twin), FirstCalls("compile")
         return twin
 
     def __reduce__(self) -> Any:
@@ -213,9 +212,12 @@ class Functions:
     def call(self, family: str, t: Any, x: Values, u: Values | None, params: Values | None) -> Arrays:
         """Rates, outputs or constraints from unchecked arguments, jitted."""
         inputs = self.prepare(t, x, u, params, reads=(family,), on_host=True)
-        first, self._called = family not in self._called, self._called | {family}
-        with watched("compile") if first else contextlib.nullcontext():
-            return self.jitted(family, inputs.t, inputs.x, inputs.u, inputs.params)
+        return self.jitted(family, inputs.t, inputs.x, inputs.u, inputs.params)
+
+    def jitted(self, family: str, t: Any, x: Values, u: Values, params: Values) -> Arrays:
+        """`evaluate` in the form for calls, jitted; the first call compiles."""
+        with self._first_calls(family):
+            return self._jitted(family, t, x, u, params)
 
     def vector_field(self, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> Arrays:
         """The rates, for the loop of an integrator, or for functions outside of it."""
