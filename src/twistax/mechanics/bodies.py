@@ -291,9 +291,14 @@ class SpatialInertia:
         return self._derived((m, c, tensor), physical, changing_parts, poses)
 
     def __add__(self, other: object) -> SpatialInertia:
+        if other is None:  # the body of a link without mass
+            return self
         if not isinstance(other, SpatialInertia):
             raise OperationError(f"+ expects another SpatialInertia, got {other!r}")
         return self.merge(other)
+
+    def __radd__(self, other: object) -> SpatialInertia:
+        return self + other
 
     @property
     def _centered(self) -> bool:
