@@ -348,6 +348,7 @@ def compile(
     Raises:
         ModelError: an unknown output or parameter; an invalid backend.
         ShapeError: a value in `bake` of the wrong shape.
+    Example: `tx.compile(system)(0.0, {"x": 1.0, "v": 0.0})` is the dict of rates, in the shapes of the states.
     """
     if not isinstance(system, System):
         raise ModelError(f"compile expects a tx.System, got {type(system).__name__}; for an expression use tx.lower")

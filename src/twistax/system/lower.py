@@ -43,6 +43,7 @@ def lower(expr: Any) -> Lowered:
         ModelError: immediately, if there is no expression, or if two leaves with one name differ.
         InputError: at call time, for an unknown control or parameter, a wrong shape or a missing value.
         ModelError: during tracing, for a chain of more than 30,000 array operations, which would make XLA crash.
+    Example: `tx.lower({"M": mass_matrix(arm)})(0.0, {"q": np.zeros(arm.dofs)})["M"]` has shape (n, n).
     """
     wanted = "lower expects an expression, or a tuple, list or dict of them"
     if isinstance(expr, System):

@@ -32,6 +32,7 @@ class ManipulabilityTask(Task):
         angular: whether J includes the rows of the angular velocity.
         weight, gain, damping: as for `Task`.
     Raises: ModelError for a frame whose Jacobian has fewer degrees of freedom than rows, or is singular everywhere.
+    Example: `ManipulabilityTask("tool", weight=1e-2)`.
     """
 
     frame: str
