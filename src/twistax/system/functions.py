@@ -79,6 +79,7 @@ class Functions:
         constraints: the simplified residuals of "inequality" and "equality", by name.
         steps: a cache, of 32 entries, of the compiled steps of integrators.
         hessians: a cache of the programs of Hessians.
+        jitted: the function `evaluate`, in the form for calls.
         loops: a cache of the jitted functions of integrators, which read a `twin` of this object.
     """
 
@@ -105,7 +106,7 @@ class Functions:
         self.steps, self.hessians, self.loops = Cache(32), Cache(32), Cache(32)
         self._made, self._outside = Cache(64), False
         self.without_kernel = _without_kernel(self.families["rates"], backend)
-        self._jitted, self._first_calls = _for_calls(self), FirstCalls("compile")
+        self.jitted = _for_calls(self)
 
     # ---- copies with other options -----------------------------------------------------------------------------------
 
@@ -132,7 +133,7 @@ class Functions:
     def _changed(self, **changes: Any) -> Functions:
         twin = object.__new__(Functions)
         twin.__dict__.update(self.__dict__, **changes)
-        twin._jitted, twin._first_calls = _for_calls(twin), FirstCalls("compile")
+        twin.jitted = _for_calls(twin)
         return twin
 
     def __reduce__(self) -> Any:
@@ -213,11 +214,6 @@ class Functions:
         """Rates, outputs or constraints from unchecked arguments, jitted."""
         inputs = self.prepare(t, x, u, params, reads=(family,), on_host=True)
         return self.jitted(family, inputs.t, inputs.x, inputs.u, inputs.params)
-
-    def jitted(self, family: str, t: Any, x: Values, u: Values, params: Values) -> Arrays:
-        """`evaluate` in the form for calls, jitted; the first call compiles."""
-        with self._first_calls(family):
-            return self._jitted(family, t, x, u, params)
 
     def vector_field(self, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> Arrays:
         """The rates, for the loop of an integrator, or for functions outside of it."""
@@ -389,7 +385,14 @@ def _without_kernel(rates: Mapping[str, list[Expr]], backend: Backend) -> dict[s
 
 
 def _for_calls(functions: Functions) -> Callable[..., Arrays]:
-    return jax.jit(functools.partial(functions.evaluate, in_loop=False), static_argnums=0)
+    jitted = jax.jit(functools.partial(functions.evaluate, in_loop=False), static_argnums=0)
+    first_calls = FirstCalls("compile")
+
+    def call(family: str, *arguments: Any) -> Arrays:
+        with first_calls(family):
+            return jitted(family, *arguments)
+
+    return call
 
 
 def _by_program(kinds: Sequence[str], program: Derived, *arrays: jax.Array) -> Arrays:
