@@ -170,6 +170,15 @@ class FirstCalls:
         self._keys.add(key)
         return watched(self._what)
 
+    def of(self, function: Callable[..., T]) -> Callable[..., T]:
+        """A function within these contexts; its first argument is the key."""
+
+        def call(key: Hashable, *arguments: Any) -> T:
+            with self(key):
+                return function(key, *arguments)
+
+        return call
+
 
 def watching(what: str) -> Callable[[Callable[P, T]], Callable[P, T]]:
     """A decorator of functions whose first call may take long because of imports or compilation."""

@@ -385,14 +385,7 @@ def _without_kernel(rates: Mapping[str, list[Expr]], backend: Backend) -> dict[s
 
 
 def _for_calls(functions: Functions) -> Callable[..., Arrays]:
-    jitted = jax.jit(functools.partial(functions.evaluate, in_loop=False), static_argnums=0)
-    first_calls = FirstCalls("compile")
-
-    def call(family: str, *arguments: Any) -> Arrays:
-        with first_calls(family):
-            return jitted(family, *arguments)
-
-    return call
+    return FirstCalls("compile").of(jax.jit(functools.partial(functions.evaluate, in_loop=False), static_argnums=0))
 
 
 def _by_program(kinds: Sequence[str], program: Derived, *arrays: jax.Array) -> Arrays:
