@@ -158,7 +158,8 @@ def test_errors_name_pages_that_are_there() -> None:
     [
         (lambda: tx.view.Sphere(-1.0), "docs/howto/show.md"),
         (lambda: tx.mechanics.load("nowhere.urdf"), "docs/howto/mechanism_from_a_file.md"),
-        (lambda: tx.mechanics.SpatialInertia(mass=-1.0, inertia=np.eye(3)), "docs/mechanics.md"),
+        (lambda: tx.mechanics.SpatialInertia(mass=-1.0, inertia=np.eye(3)), "docs/bodies.md"),
+        (lambda: tx.mechanics.chain_models.panda().lock([]), "docs/robots.md#edit-a-mechanism"),
         (lambda: tx.StepControl(max_steps=-1), "docs/integrating.md"),
         (lambda: tx.System(rates={}), "docs/writing_a_system.md"),
         (lambda: (tx.State("x", (3,)) @ tx.State("y", (2,))).shape, "docs/writing_a_system.md#expressions"),

@@ -149,9 +149,10 @@ if not TYPE_CHECKING:  # a type checker shall see the names above and no others
     def __getattr__(name: str):
         for module, names in _LATER.items():
             if name in names:
-                if not module:
-                    return importlib.import_module(f"{__name__}.{name}")
-                value = globals()[name] = getattr(importlib.import_module(__name__ + module), name)
+                with importlib.import_module(__name__ + ".progress").watched("import"):
+                    if not module:
+                        return importlib.import_module(f"{__name__}.{name}")
+                    value = globals()[name] = getattr(importlib.import_module(__name__ + module), name)
                 return value
         hint = "" if name.startswith("_") else _where_else(name)
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}{hint}")

@@ -13,7 +13,7 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from typing import Any, ParamSpec, TypeVar
 
 from .errors import TrajectoryError
@@ -24,8 +24,9 @@ T = TypeVar("T")
 LOGGER = logging.getLogger("twistax")
 #: Seconds between lines, on a terminal and elsewhere.
 _LIVE, _LOGGED = 0.1, 5.0
-#: Seconds without a line before a call of a user shows one by itself, and between looks of the watching thread.
-_PATIENCE, _TICK = 2.0, 0.25
+#: Seconds without a line before a call of a user shows one by itself, and between looks of the watching thread: less
+#: than two together.
+_PATIENCE, _TICK = 1.5, 0.25
 #: Of a bar, in characters.
 _WIDTH = 24
 
@@ -152,6 +153,31 @@ def watched(what: str, progress: bool | None = None) -> Progress | contextlib.nu
         return contextlib.nullcontext()
     line = Progress(what, shown=progress)
     return line if line.shown else contextlib.nullcontext()
+
+
+class FirstCalls:
+    """Contexts of a compiled function: the first call for a key may compile, so it shows its seconds.
+
+    Later calls are too short for a line and have no cost.
+    """
+
+    def __init__(self, what: str) -> None:
+        self._what, self._keys = what, set[Hashable]()
+
+    def __call__(self, key: Hashable = None) -> Progress | contextlib.nullcontext[None]:
+        if key in self._keys:
+            return contextlib.nullcontext()
+        self._keys.add(key)
+        return watched(self._what)
+
+    def of(self, function: Callable[..., T]) -> Callable[..., T]:
+        """A function within these contexts; its first argument is the key."""
+
+        def call(key: Hashable, *arguments: Any) -> T:
+            with self(key):
+                return function(key, *arguments)
+
+        return call
 
 
 def watching(what: str) -> Callable[[Callable[P, T]], Callable[P, T]]:

@@ -158,6 +158,9 @@ def test_limits_of_bodies_are_bodies() -> None:
 def test_only_bodies_can_be_merged() -> None:
     with pytest.raises(tx.ModelError, match=r"merge expects another SpatialInertia, got 3\.0"):
         body_of(FIRST).merge(3.0)  # type: ignore[arg-type]
+    body = body_of(FIRST)
+    assert None + body is body, "None is the body of a link without mass"
+    assert body + None is body
 
 
 # ---- in flight ----------------------------------------------------------------------------------------------------

@@ -270,6 +270,8 @@ def test_bad_input(real: Mechanism, data: dict[str, np.ndarray], unchecked: None
     ):
         with pytest.raises(error, match=match):
             identify(real, data, **options)
+    with pytest.raises(InputError, match=r"records by name(.|\n)*fix: compute 'qd', 'qdd' as scipy"):
+        identify(real, {"q": data["q"], "tau": data["tau"]})
     with pytest.raises(InputError, match="are not enough to estimate"):
         identify(real, {name: value[:2] for name, value in data.items()})
     result = identify(real, data, noise=0.1)

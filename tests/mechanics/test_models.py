@@ -222,6 +222,8 @@ def test_what_is_no_model_is_refused(text: str, message: str, tmp_path: Path) ->
 def test_bad_arguments_are_named(tmp_path: Path) -> None:
     with pytest.raises(tx.ModelError, match="cannot read"):
         load(tmp_path / "nothing.urdf")
+    with pytest.raises(tx.ModelError, match="expects the path of a file, got its text"):
+        load((OWN / "arm.urdf").read_text())
     with pytest.raises(tx.ModelError, match=r"no parameter 'tool_mas'(.|\n)*did you mean 'tool_mass'"):
         load(OWN / "arm.urdf", parameters=["tool_mas"])
     with pytest.raises(tx.ModelError, match="parameters=True or a list of names, got 'tool_mass'"):

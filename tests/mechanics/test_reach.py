@@ -78,6 +78,7 @@ def test_a_limit_stops_the_nearest_position() -> None:
     assert result.stopped_by() == ("joint0",)
     assert np.allclose(result.x["q"], [1.0])
     assert np.allclose(result.distance, 2.0 * np.sin(0.5))  # a chord
+    assert repr(result) == "ReachResult(LIMIT; 'tip' at most 0.96 m from its target)"
     inside = reach(arm, {"tip": np.array([np.cos(0.7), np.sin(0.7), 0.0])})
     assert inside.status == ReachStatus.REACHED
     assert inside.stopped_by() == ()
@@ -179,6 +180,7 @@ def test_the_limits_of_a_follower_are_those_of_its_leader() -> None:
     result = reach(Mechanism([slide, follower]), {"slide": np.array([[0.0, 0.0, z] for z in (0.9, -0.9, 0.3)])})
     assert np.allclose(result.x["q"][:, 0], [0.5, -0.25, 0.3], atol=1e-6)
     assert np.asarray(result.status).tolist() == [ReachStatus.LIMIT, ReachStatus.LIMIT, ReachStatus.REACHED]
+    assert repr(result).startswith("ReachResult(2 LIMIT, 1 REACHED; ")
 
 
 def test_derivatives_are_those_of_the_solution() -> None:

@@ -1,4 +1,4 @@
-"""Two bodies in a row, put together as docs/mechanics.md does, against Lagrange's equations of their points."""
+"""Two bodies in a row, put together as docs/bodies.md does, against Lagrange's equations of their points."""
 
 from functools import partial
 

@@ -15,7 +15,7 @@ SECTIONS = [
     ("extending.md", "A node", "check_node"),
     ("extending.md", "A group", "check_group"),
     ("extending.md", "A tableau", "check_tableau"),
-    ("mechanics.md", "Adding a joint", "check_joint"),
+    ("joints.md", "Adding a joint", "check_joint"),
     ("scenes.md", "A new scene", "check_scene"),
 ]
 

@@ -139,9 +139,20 @@ def test_public_calls_that_compile_or_import_show_their_seconds(
     dynamics.to_c(tmp_path)
     tx.mechanics.load(Path(__file__).parents[2] / "examples" / "arm.urdf")
     tx.integrate_phases([tx.Phase(dynamics, duration=0.2)], {"x": 1.0}, dt=0.1)
-    assert {what for what, _ in calls} == {
-        *("evaluate", "plot", "linearize", "discretize", "explain", "export", "load", "integrate")
+    tx.testing.check_joint(tx.mechanics.joints.Fixed("weld"))
+    assert {what for what, _ in calls} >= {
+        *("evaluate", "plot", "linearize", "discretize", "explain", "export", "load", "integrate", "check_joint")
     }
+    calls.clear()
+    circle = tx.System({x: 0.0 * x}, corrections={x: 1.0 - x})
+    for call in (tx.lower(x + 1.0), lambda t, x: tx.compile(circle).project(t, x)):
+        call(0.0, {"x": 1.0})
+        assert ("compile", None) in calls
+        calls.clear()
+    lowered = tx.lower(x + 1.0)
+    for _ in range(2):
+        lowered(0.0, {"x": 1.0})
+    assert calls == [("compile", None)], "a later call is short"
     monkeypatch.setattr(sys.modules["twistax.integrators.integrate"], "watched", record)
     calls.clear()
     tx.integrate(dynamics, {"x": 1.0}, t1=1.0, dt=0.1, progress=False)

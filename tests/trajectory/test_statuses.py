@@ -55,7 +55,7 @@ def test_an_end_beyond_a_wall_names_the_wall_and_the_node() -> None:
 def test_a_start_beyond_a_wall_is_said_at_once() -> None:
     result = stated().solve(initial={"p": 3.0, "v": 0.0})
     assert result.status is Status.INFEASIBLE
-    assert "'wall' at node 0 is violated by 1" in result.message
+    assert "'wall' at node 0 is violated by 1, by the fixed initial and final values alone" in result.message
     assert result.iterations == 1
 
 
@@ -128,6 +128,8 @@ def test_double_precision_whatever_the_setting_and_repeatable_seeds() -> None:
     assert first.xs["p"].dtype == np.float64
     assert rollout.xs["p"].dtype == np.float64
     assert rollout.misses["p"]["distance"] < 1e-6
+    assert repr(rollout).startswith(f"Replay({len(rollout.ts)} times until ")
+    assert len(repr(rollout)) < 300
     np.testing.assert_array_equal(first.us["u"], again.us["u"])
     assert (first.us["u"] != other.us["u"]).any()
     assert again.compile_seconds < first.compile_seconds

@@ -60,6 +60,7 @@ class SpatialInertia:
         ModelError: a mass that is not positive; an entry that is not finite; a tensor that is not symmetric, has a
             negative principal moment, or one above the sum of the other two; a changing mass with mass_leaves=False.
     Source: Featherstone, Rigid Body Dynamics Algorithms (2008), section 2.13, for M.
+    Example: `SpatialInertia(mass=2.0, center_of_mass=(0.0, 0.0, 0.1), inertia=np.diag([0.02, 0.02, 0.01]))`.
     """
 
     def __init__(
@@ -291,9 +292,14 @@ class SpatialInertia:
         return self._derived((m, c, tensor), physical, changing_parts, poses)
 
     def __add__(self, other: object) -> SpatialInertia:
+        if other is None:  # the body of a link without mass
+            return self
         if not isinstance(other, SpatialInertia):
             raise OperationError(f"+ expects another SpatialInertia, got {other!r}")
         return self.merge(other)
+
+    def __radd__(self, other: object) -> SpatialInertia:
+        return self + other
 
     @property
     def _centered(self) -> bool:

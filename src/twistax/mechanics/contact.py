@@ -112,6 +112,7 @@ class Ground:
         sharpness: m, positive: the height over the ground at which the force begins.
         slip: m/s, positive: the sliding speed at which friction reaches 71 % of mu n.
     Raises: ModelError for numbers out of their range, or a height that is not a scalar expression of x and y.
+    Example: `robot.system(wrenches=Ground(stiffness=2e4, friction=0.8).wrenches(robot, ["foot"]))`.
     """
 
     stiffness: float = 2e4

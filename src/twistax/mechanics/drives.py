@@ -47,6 +47,7 @@ class Drive:
     Raises:
         ModelError: a value that is not a number or a scalar expression; a negative value where it is not allowed;
             contradictory bounds; an armature that depends on time, states or controls.
+    Example: `Drive(lower=-2.0, upper=2.0, effort=80.0, damping=0.1)`.
     """
 
     armature: ExprLike = 0.0

@@ -203,6 +203,7 @@ class Revolute(Joint):
     Raises:
         ShapeError: axis is not of shape (3,).
         ModelError: no name; an axis that is zero or not finite.
+    Example: `Revolute("elbow", axis=(0.0, 1.0, 0.0))`.
     """
 
     cases = ({"axis": (0.0, 0.0, 2.0)}, {"axis": (2.0, -1.0, 2.0)}, {"axis": Parameter("axis", value=(0.0, 3.0, 4.0))})
@@ -229,6 +230,7 @@ class Prismatic(Joint):
         name, axis: as for `Revolute`.
     Raises:
         ShapeError, ModelError: as for `Revolute`.
+    Example: `Prismatic("slide", axis=(1.0, 0.0, 0.0))`.
     """
 
     cases = ({"axis": (2.0, -1.0, 2.0)}, {"axis": Parameter("axis", value=(0.0, 3.0, 4.0))})
@@ -258,6 +260,7 @@ class Helical(Joint):
     Raises:
         ShapeError: axis is not of shape (3,).
         ModelError: no name; an axis that is zero or not finite; a pitch that is not a finite number.
+    Example: `Helical("spindle", axis=(0.0, 0.0, 1.0), pitch=0.002)`.
     """
 
     cases = ({"axis": (2.0, -1.0, 2.0), "pitch": 0.05},)
@@ -361,6 +364,7 @@ class Free(Joint):
     Args:
         name: the name of the joint.
     Raises: ModelError for an empty name.
+    Example: `Link(Free("trunk"), body, tx.pose())` is a floating base.
     """
 
     cases = ({},)

@@ -202,9 +202,11 @@ class KinematicTree:
         for segment in self.segments:
             if segment.link.joint.name == joint:
                 return segment
+        is_fixed = isinstance(joint, str) and joint in self.frames
         raise ModelError(
-            f"there is no moving joint {short(joint)}; known are {listed(self.joints, joint)}.\n"
-            "  fix: to keep a Fixed joint, which is merged with its parent link by default, name it in keep="
+            f"there is no moving joint {short(joint)}; known are {listed(self.joints, None if is_fixed else joint)}"
+            + ".\n  fix: to keep a Fixed joint, which is merged with its parent link by default, name it in keep="
+            * is_fixed
         )
 
     def coordinates(self, owner: str, name: str, value: ExprLike | None) -> Expr:

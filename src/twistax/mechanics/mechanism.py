@@ -66,6 +66,7 @@ class Mechanism(KinematicTree):
     Raises:
         ModelError: links that are not a tree; see `sorted_links` and `segments_of`.
         ShapeError: gravity is not of shape (3,).
+    Example: `Mechanism([Link(joints.Free("trunk"), body, tx.pose())]).system()`.
     """
 
     @functools.cached_property

@@ -15,6 +15,7 @@ from ..expr import Concat, Constant, Control, Expr, State, to_expr
 from ..expr.fields import ExprLike
 from ..expr.operations.soft import Asked
 from ..expr.transformations.rate import rates_by_name
+from ..progress import watching
 from ..system import System
 from ..system.declared import Slopes, SlopesOnDemand
 from ..system.system import constraints_by_name
@@ -27,6 +28,7 @@ from .labels import labels_of
 from .tree import Segment
 
 
+@watching("system")
 def system_of(
     mechanism: KinematicTree,
     controls: Collection[str] | None,
@@ -119,6 +121,7 @@ def kinematics(mechanism: KinematicTree, places: list[Expr], qd: Expr) -> dict[A
 _COMMAND, _LEAST, _MOST, _FREE = "tau", "tau at least", "tau at most", "freedoms without motors"
 
 
+@watching("system")
 def inverse_system_of(
     mechanism: KinematicTree,
     controls: Collection[str] | None,

@@ -33,6 +33,7 @@ class Mimic:
         joint: the name of the leading joint.
         ratio, offset: finite numbers; the offset in rad or m.
     Raises: ModelError if ratio or offset is not a finite number.
+    Example: `Mimic("left_finger", ratio=-1.0)`.
     """
 
     joint: str
@@ -69,6 +70,7 @@ class Link:
         ModelError: a joint, body, drive or mimic of another type; a numeric mount that is not a pose, or one
             that depends on time, states or controls; a mimic joint with a position on a group.
         ShapeError: mount is not of shape (4, 4).
+    Example: `Link(joints.Revolute("elbow", (0.0, 1.0, 0.0)), body, tx.pose(), parent="shoulder")`.
     """
 
     joint: Joint

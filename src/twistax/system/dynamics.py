@@ -345,9 +345,8 @@ def compile(
         backend: the backend of the functions. `tx.XLA()` converts large functions to scalar programs; `tx.Native()`
             compiles kernels by llvmlite; `tx.JAX()` executes everything as written, on small arrays. "auto" is
             `tx.XLA()`, with native kernels for large functions and steps of explicit methods if llvmlite is installed.
-    Raises:
-        ModelError: an unknown output or parameter; an invalid backend.
-        ShapeError: a value in `bake` of the wrong shape.
+    Raises: ModelError for an unknown output or parameter, or an invalid backend; ShapeError for a value in `bake`.
+    Example: `tx.compile(system)(0.0, {"x": 1.0, "v": 0.0})` is the dict of rates, in the shapes of the states.
     """
     if not isinstance(system, System):
         raise ModelError(f"compile expects a tx.System, got {type(system).__name__}; for an expression use tx.lower")

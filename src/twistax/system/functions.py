@@ -17,7 +17,7 @@ from ..expr import Control, Equality, Expr, Inputs, Parameter, State, evaluate_a
 from ..expr.functions.function import Call
 from ..expr.transformations.vmap import elements_by
 from ..jax_inside import is_traced
-from ..progress import say_once, watched
+from ..progress import FirstCalls, say_once, watched
 from ..scalar.backends import Backend, Emission, has_members
 from ..scalar.graph import TooLarge
 from ..scalar.jax_primitive import Derived, call_program
@@ -106,7 +106,7 @@ class Functions:
         self.steps, self.hessians, self.loops = Cache(32), Cache(32), Cache(32)
         self._made, self._outside = Cache(64), False
         self.without_kernel = _without_kernel(self.families["rates"], backend)
-        self.jitted, self._called = _for_calls(self), set[str]()
+        self.jitted = _for_calls(self)
 
     # ---- copies with other options -----------------------------------------------------------------------------------
 
@@ -132,7 +132,7 @@ class Functions:
 
     def _changed(self, **changes: Any) -> Functions:
         twin = object.__new__(Functions)
-        twin.__dict__.update(self.__dict__, _called=set[str](), **changes)
+        twin.__dict__.update(self.__dict__, **changes)
         twin.jitted = _for_calls(twin)
         return twin
 
@@ -213,9 +213,7 @@ class Functions:
     def call(self, family: str, t: Any, x: Values, u: Values | None, params: Values | None) -> Arrays:
         """Rates, outputs or constraints from unchecked arguments, jitted."""
         inputs = self.prepare(t, x, u, params, reads=(family,), on_host=True)
-        first, self._called = family not in self._called, self._called | {family}
-        with watched("compile") if first else contextlib.nullcontext():
-            return self.jitted(family, inputs.t, inputs.x, inputs.u, inputs.params)
+        return self.jitted(family, inputs.t, inputs.x, inputs.u, inputs.params)
 
     def vector_field(self, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> Arrays:
         """The rates, for the loop of an integrator, or for functions outside of it."""
@@ -387,7 +385,7 @@ def _without_kernel(rates: Mapping[str, list[Expr]], backend: Backend) -> dict[s
 
 
 def _for_calls(functions: Functions) -> Callable[..., Arrays]:
-    return jax.jit(functools.partial(functions.evaluate, in_loop=False), static_argnums=0)
+    return FirstCalls("compile").of(jax.jit(functools.partial(functions.evaluate, in_loop=False), static_argnums=0))
 
 
 def _by_program(kinds: Sequence[str], program: Derived, *arrays: jax.Array) -> Arrays:

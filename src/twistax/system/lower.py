@@ -13,6 +13,7 @@ from ..expr import Constant, Constraint, Expr, Inputs, Leaf, Time, evaluate_all,
 from ..expr.fields import freeze
 from ..expr.transformations.vmap import no_elements
 from ..jax_inside import is_traced
+from ..progress import FirstCalls
 from ..scalar.backends import as_arrays
 from .inputs import CallArguments, Values
 from .system import System
@@ -42,6 +43,7 @@ def lower(expr: Any) -> Lowered:
         ModelError: immediately, if there is no expression, or if two leaves with one name differ.
         InputError: at call time, for an unknown control or parameter, a wrong shape or a missing value.
         ModelError: during tracing, for a chain of more than 30,000 array operations, which would make XLA crash.
+    Example: `tx.lower({"M": mass_matrix(arm)})(0.0, {"q": np.zeros(arm.dofs)})["M"]` has shape (n, n).
     """
     wanted = "lower expects an expression, or a tuple, list or dict of them"
     if isinstance(expr, System):
@@ -65,7 +67,7 @@ def lower(expr: Any) -> Lowered:
         inputs = Inputs(t, x, u, params, dtype)
         return evaluate_all(nodes, lambda leaf: leaf.read(inputs))
 
-    compiled = jax.jit(values, static_argnums=(0, 1))
+    compiled, first_calls = jax.jit(values, static_argnums=(0, 1)), FirstCalls("compile")
 
     def function(t: Any, x: Values | None = None, u: Values | None = None, params: Values | None = None) -> Any:
         inputs = arguments.prepare(required, t, x, u, params, spare=True)
@@ -75,7 +77,8 @@ def lower(expr: Any) -> Lowered:
             run = as_arrays(jax.make_jaxpr(run)(*arrays)) if count > _LARGE else run
         elif count in _COMPILED:
             run = functools.partial(compiled, structure, inputs.dtype)
-        return jax.tree_util.tree_unflatten(treedef, run(*arrays))
+        with first_calls((structure, inputs.dtype)):
+            return jax.tree_util.tree_unflatten(treedef, run(*arrays))
 
     function.__name__ = "lowered"
     function.__doc__ = f"Lowered from {expr!r}" if not isinstance(expr, Mapping | Constraint) else "Lowered expression."

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..checks import number, short
 from ..errors import InputError
+from ..progress import watching
 from .laws import STENCIL, Check, difference_quotient, flat
 
 #: The step relative to the argument, and the share of a derivative that it resolves, by precision.
@@ -20,6 +21,7 @@ _ROUND_OFFS = 1e4
 _DIRECTIONS = 2
 
 
+@watching("check_gradients")
 def check_gradients(
     function: Callable[..., Any], *arguments: Any, tolerance: float | None = None, step: float | None = None
 ) -> None:

@@ -18,6 +18,7 @@ from scipy.linalg import expm
 from ..errors import InputError
 from ..groups import Group
 from ..jax_inside import quick_compile
+from ..progress import watching
 from .group_derivatives import check_derivatives, check_single_precision
 from .group_samples import Sample, turned
 from .laws import STENCIL, STEP, Check, difference_quotient
@@ -27,6 +28,7 @@ _EXACT, _BY_DIFFERENCES = 2e-13, 2e-9
 _DRIFT, _ROUND_OFF = 1e-3, 1e-8
 
 
+@watching("check_group")
 def check_group(group: Group, *, seed: int = 0) -> None:
     """Check that a group satisfies the laws on which states, integrators and optimisers rely; takes a few seconds.
 

@@ -15,6 +15,7 @@ from ..expr.graph import leaves_of
 from ..groups import SE3, se3
 from ..jax_inside import quick_compile
 from ..mechanics.joints import Joint
+from ..progress import watching
 from ..system.lower import lower
 from .laws import STENCIL, STEP, Check, difference_quotient
 
@@ -23,6 +24,7 @@ _EXACT, _BY_DIFFERENCES, _SINGLE = 2e-13, 2e-9, 100.0 * float(np.finfo(np.float3
 _FAR = 7e6
 
 
+@watching("check_joint")
 def check_joint(joint: Joint, *, at_zero: Any = None, seed: int = 0) -> None:
     """Check that a joint satisfies the laws on which mechanisms rely: its pose must agree with its motion subspace.
 

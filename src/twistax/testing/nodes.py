@@ -15,6 +15,7 @@ from jax.flatten_util import ravel_pytree
 from ..errors import ImmutableError, InputError, ShapeError
 from ..expr import Constant, Example, Expr, Inputs, evaluate_all
 from ..jax_inside import quick_compile
+from ..progress import watching
 from .laws import STENCIL, Check, difference_quotient
 
 #: The step of a difference quotient of fourth order, and what it resolves of slopes of order one.
@@ -22,6 +23,7 @@ _STEP, _RESOLVED = 2e-4, 1e-8
 _SINGLE = 100.0 * float(np.finfo(np.float32).eps)
 
 
+@watching("check_node")
 def check_node(node_class: type[Expr]) -> None:
     """Check that a node class satisfies the laws of nodes, on its `cases` and `kinks`.
 

@@ -11,9 +11,11 @@ import numpy as np
 from ..errors import InputError
 from ..integrators import RKMK, ImplicitRKMK
 from ..integrators.tableaus import DOP853, RADAU_IIA9
+from ..progress import watching
 from .laws import STENCIL, STEP, Check, difference_quotient
 
 
+@watching("check_scene")
 def check_scene(scene: Any, *, stiff: bool = False, tolerance: float = 1e-8, **options: Any) -> None:
     """Check that the exact solution of a scene is the motion of its system from its initial state.
 

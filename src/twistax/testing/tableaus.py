@@ -19,6 +19,7 @@ from ..groups import SO3, so3
 from ..integrators import RKMK, CommutatorFree, ImplicitRKMK, Method, integrate
 from ..integrators.methods.commutator_free import CommutatorFreeTableau
 from ..integrators.tableaus import ButcherTableau, CollocationTableau
+from ..progress import watching
 from ..system import System
 from ..system.dynamics import Dynamics, compile
 from .laws import Check
@@ -31,6 +32,7 @@ _EXACT = 2e-14
 _LARGEST = 9
 
 
+@watching("check_tableau")
 def check_tableau(tableau: ButcherTableau | CollocationTableau | CommutatorFreeTableau) -> None:
     """Check that a tableau has its declared order, by its order conditions and by an integration on a group.
 

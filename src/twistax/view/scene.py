@@ -8,6 +8,7 @@ from typing import Any
 
 from ..checks import path_of, whole
 from ..errors import InputError
+from ..progress import watching
 from .animation import Animation
 from .film import film
 from .stage import page, served
@@ -36,6 +37,7 @@ class Scene(Animation):
         """
         return page(self)
 
+    @watching("save")
     def save(self, path: Any) -> Path:
         """Write the page of `html`; an existing file is overwritten.
 

@@ -57,6 +57,7 @@ def inverse_dynamics(
     Raises:
         ShapeError: an argument of the wrong shape.
         ModelError: unknown positions or frames.
+    Example: `tx.lower(inverse_dynamics(arm, qdd=tx.State("qdd", (n,))))(0.0, {"q": q, "qd": qd, "qdd": qdd})`.
     """
     checked("inverse_dynamics", mechanism)
     rates = mechanism.coordinates("inverse_dynamics", "qdd", np.zeros(mechanism.dofs) if qdd is None else qdd)
@@ -114,6 +115,7 @@ def bias_forces(
     """The bias b (n,) in $M qdd + b = tau$: gravity, Coriolis and centrifugal forces minus external wrenches, N or N m.
 
     Raises the errors of `inverse_dynamics`.
+    Example: `tx.lower(bias_forces(arm))(0.0, {"q": q, "qd": qd})`.
     """
     return inverse_dynamics(mechanism, q, qd, wrenches=wrenches)
 
@@ -124,6 +126,7 @@ def gravity_forces(mechanism: KinematicTree, q: Positions | None = None) -> Expr
     They include the forces of masses that move inside their bodies.
 
     Raises the errors of `inverse_dynamics`.
+    Example: `tx.lower(gravity_forces(arm))(0.0, {"q": q})`.
     """
     checked("gravity_forces", mechanism)
     return inverse_dynamics(mechanism, q, np.zeros(mechanism.dofs))
@@ -134,6 +137,7 @@ def coriolis_forces(mechanism: KinematicTree, q: Positions | None = None, qd: Ex
     rest.
 
     Raises the errors of `inverse_dynamics`.
+    Example: `tx.lower(coriolis_forces(arm))(0.0, {"q": q, "qd": qd})`.
     """
     owner, still = "coriolis_forces", Constant(np.zeros(checked("coriolis_forces", mechanism).dofs))
     needed = carried_wrenches(owner, mechanism, q, qd, still, None, of_velocities=True)
@@ -158,6 +162,7 @@ def mass_matrix(mechanism: KinematicTree, q: Positions | None = None) -> Expr:
         mechanism: a tree or a chain; its gravity is ignored.
         q: positions; the states of the mechanism by default.
     Raises: ShapeError, ModelError: positions of the wrong shape, or with unknown names.
+    Example: `tx.lower(mass_matrix(arm))(0.0, {"q": q})`.
     """
     checked("mass_matrix", mechanism)
     places = mechanism.positions("mass_matrix", q)

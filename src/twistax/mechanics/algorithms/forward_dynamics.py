@@ -51,6 +51,7 @@ def forward_dynamics(
     Raises:
         ShapeError: an argument of the wrong shape.
         ModelError: unknown positions or frames; a joint that moves no mass.
+    Example: `tx.lower(forward_dynamics(arm, arm.q, arm.qd, tau))(0.0, {"q": q, "qd": qd})`.
     """
     owner = "forward_dynamics"
     checked(owner, mechanism).check_masses(owner)

@@ -52,6 +52,7 @@ def frame_twist(
     Raises:
         ShapeError: positions or velocities of the wrong shape.
         ModelError: an unknown frame.
+    Example: `tx.lower(frame_twist(arm, "tool"))(0.0, {"q": q, "qd": qd})`.
     """
     V = checked("frame_twist", mechanism).twist(frame, q, qd)
     return AdjointAction(_to(axes, mechanism.pose(frame, q)), V)
@@ -61,6 +62,7 @@ def frame_jacobian(mechanism: KinematicTree, frame: str, q: Positions | None = N
     """The Jacobian J (6, n) of a frame: $J qd = [v; w]$ is its velocity, m/s and rad/s, in the chosen axes.
 
     Raises the errors of `frame_twist`.
+    Example: `tx.lower(frame_jacobian(arm, "tool", axes=ALIGNED))(0.0, {"q": q})`.
     """
     path = _Path("frame_jacobian", mechanism, frame, q)
     _known(axes)

@@ -15,10 +15,7 @@ If no row is omitted, X is the identity. Columns of X for rows that are shorter 
 from __future__ import annotations
 
 import functools
-from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from ...expr import (
@@ -26,16 +23,17 @@ from ...expr import (
     Constant,
     Expr,
     IndependentRows,
-    Inputs,
     Outer,
     Parameter,
     Solve,
     SolvePositive,
     State,
     Sum,
-    evaluate_all,
+    Time,
     leaves_of,
+    substitute,
 )
+from ...jax_inside import in_double
 from ..kinematic_tree import KinematicTree
 from .inertia_frames import mirrored
 
@@ -132,16 +130,18 @@ def numbers(expr: Expr) -> np.ndarray:
     """The value of an expression at random states, with parameter values, or one for a parameter without a value."""
     if isinstance(expr, Constant):
         return expr.value
-    rng, x, params = np.random.default_rng(0), dict[str, Any](), dict[str, Any]()
+    rng, known = np.random.default_rng(0), dict[str, Expr]()
     for leaf in leaves_of(expr):
         if isinstance(leaf, State):
-            x[leaf.name] = leaf.group.retract(leaf.group.identity(), rng.normal(size=leaf.group.dimension))
+            with in_double():
+                value = leaf.group.retract(leaf.group.identity(), rng.normal(size=leaf.group.dimension))
+            known[leaf.key()] = Constant(value)
         elif isinstance(leaf, Parameter):
-            params[leaf.name] = jnp.asarray(np.ones(leaf.shape) if leaf.value is None else leaf.value)
-    inputs = Inputs(jnp.zeros(()), x, {}, params, jnp.zeros(()).dtype)
-    with jax.ensure_compile_time_eval():
-        (value,) = evaluate_all([expr], lambda leaf: leaf.read(inputs))
-    return np.asarray(value, np.float64)
+            known[leaf.key()] = Constant(np.ones(leaf.shape) if leaf.value is None else leaf.value)
+        elif isinstance(leaf, Time):
+            known[leaf.key()] = Constant(0.0)
+    folded = substitute(expr, known).canonicalize()  # without compilation, in double precision
+    return folded.value if isinstance(folded, Constant) else np.full(expr.shape, np.nan)
 
 
 def _lengths(wrenches: np.ndarray, length: float) -> np.ndarray:

@@ -31,6 +31,7 @@ def kinetic_energy(mechanism: KinematicTree, q: Positions | None = None, qd: Exp
     inside bodies.
 
     Raises ShapeError for arguments of the wrong shape, and ModelError if the rates of moving masses are not known.
+    Example: `arm.system(outputs={"kinetic": kinetic_energy(arm)})`.
     """
     twists = checked("kinetic_energy", mechanism).twists(q, qd)
     terms = [body.kinetic_energy(twists[i]) for i, body in mechanism.bodies.items()]
@@ -68,7 +69,10 @@ def spring_energy(mechanism: KinematicTree, q: Positions | None = None) -> Expr:
 
 
 def total_mass(mechanism: KinematicTree) -> Expr:
-    """The mass of all bodies on moving joints (), kg. Raises ModelError if no body moves."""
+    """The mass of all bodies on moving joints (), kg. Raises ModelError if no body moves.
+
+    Example: `tx.lower(total_mass(arm))(0.0)`.
+    """
     masses = [body.mass for body in checked("total_mass", mechanism).bodies.values()]
     if not masses:
         raise ModelError("total_mass expects a mechanism with bodies, got rotors only")
@@ -79,6 +83,7 @@ def center_of_mass(mechanism: KinematicTree, q: Positions | None = None) -> Expr
     """The centre of mass $c = sum m_i c_i / sum m_i$ of all bodies on moving joints (3,), m, in the base.
 
     Raises ShapeError for positions of the wrong shape, and ModelError if there is no mass.
+    Example: `tx.lower(center_of_mass(arm))(0.0, {"q": q})`.
     """
     poses = checked("center_of_mass", mechanism).poses(q)
     moments = [body.mass * Act(poses[i], body.center_of_mass) for i, body in mechanism.bodies.items()]
@@ -99,6 +104,7 @@ def spatial_momentum(mechanism: KinematicTree, q: Positions | None = None, qd: E
 def centroidal_momentum(mechanism: KinematicTree, q: Positions | None = None, qd: ExprLike | None = None) -> Expr:
     """The momentum [p; L] (6,) of all bodies about their common centre of mass, in the base's axes: N s and N m s.
     Raises ShapeError for arguments of the wrong shape.
+    Example: `arm.system(outputs={"momentum": centroidal_momentum(arm)})`.
     """
     about_base = spatial_momentum(mechanism, q, qd)
     return CoadjointAction(translation(center_of_mass(mechanism, q)), about_base, inverse=True)

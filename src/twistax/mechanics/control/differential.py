@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import copy
 import dataclasses
 import enum
@@ -17,7 +16,7 @@ import numpy as np
 
 from ...checks import instance, listed, number, real_array, reals
 from ...errors import InputError, ModelError
-from ...progress import watched
+from ...progress import FirstCalls
 from ...scalar.varying_entries import varying_entries
 from ...solver.qp import QPStatus
 from ...solver.squares import LeastSquares
@@ -151,7 +150,7 @@ class DifferentialController:
         n, sizes = mechanism.dofs, (sum(self.tasks.sizes), sum(self.equalities.sizes))
         self.solver = LeastSquares(n, *sizes, sum(self.constraints.sizes.values()))
         self._call = jax.jit(self._step)
-        self._compiled = False
+        self._first_calls = FirstCalls("DifferentialController")
 
     def replace(
         self, *, tasks: Iterable[Task] | None = None, equalities: Iterable[Task] | None = None, **changes: Any
@@ -218,10 +217,8 @@ class DifferentialController:
         params = {leaf.name: targets.pop(leaf.name, leaf.value) for leaf in self.parameters}
         start = np.zeros(self.solver.start_size) if warm is None else warm.start
         arguments = (x, targets, params, qd, start, self.settings.arrays)
-        # The first call compiles; later ones are too short for a progress message.
-        with contextlib.nullcontext() if self._compiled else watched("DifferentialController"):
+        with self._first_calls():
             step: DifferentialStep = self._call(*arguments)
-        self._compiled = True
         return step
 
     def to_c(

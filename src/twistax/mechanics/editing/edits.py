@@ -19,7 +19,7 @@ from ...expr import Concat, Constant, Expr, canonicalize_all
 from ...expr.fields import ExprLike
 from ...expr.lie.base import check_element
 from ...system import free_name
-from ..arguments import of_kind, of_shape, pose
+from ..arguments import of_shape, pose
 from ..bodies import SpatialInertia
 from ..drives import Drive
 from ..joints import Fixed
@@ -47,7 +47,10 @@ def locked(mechanism: KinematicTree, positions: Mapping[str, ExprLike]) -> Chang
     """Implements `Mechanism.lock`."""
     owner = "Mechanism.lock"
     if not isinstance(positions, Mapping):
-        raise ModelError(f"{owner} expects positions by the names of joints, got {short(positions)}")
+        raise ModelError(
+            f"{owner} expects positions by the names of joints, got {short(positions)}.\n"
+            '  fix: robot.lock({"elbow": 0.5}), in rad or m'
+        )
     values = {name: _position(mechanism, owner, name, value) for name, value in positions.items()}
     notes = [note for name, value in values.items() if (note := _beyond_limits(mechanism, name, value))]
     for link in mechanism.links:
@@ -143,7 +146,11 @@ def without(mechanism: KinematicTree, names: Iterable[str]) -> Changes:
 def attached(mechanism: KinematicTree, other: KinematicTree, frame: str | None, at: ExprLike | None) -> Changes:
     """Implements `Mechanism.attach`."""
     owner = "Mechanism.attach"
-    of_kind(owner, "other", other, KinematicTree)
+    if not isinstance(other, KinematicTree):
+        raise ModelError(
+            f"{owner} expects another Mechanism, got {short(other)}.\n"
+            "  fix: to add a body to a link, with_inertia({link: robot.link(link).body + body})"
+        )
     T = pose(owner, "pose", np.eye(4) if at is None else at)
     carrier = mechanism.base if frame is None else carrier_of(mechanism, frame)
     _need_other_names(owner, mechanism, other)

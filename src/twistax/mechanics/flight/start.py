@@ -27,6 +27,7 @@ from ...expr import (
 from ...expr.fields import ExprLike
 from ...expr.lie import EulerRotation, Pose
 from ...jax_inside import is_traced
+from ...progress import watching
 from ...units import Quantity, metres, radians, same_unit, seconds, taken
 from ..arguments import of_kind
 from ..environment.earth import north_east_down
@@ -65,6 +66,7 @@ def _folded(*expressions: Expr) -> list[np.ndarray]:
     return [np.array(expr.value, float) for expr in folded if isinstance(expr, Constant)]
 
 
+@watching("start")
 def start(
     latitude: Any,
     longitude: Any,

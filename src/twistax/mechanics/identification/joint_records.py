@@ -44,7 +44,7 @@ class JointRecords:
         if not isinstance(records, Mapping) or set(records) != set(names):
             raise InputError(
                 f"{owner} expects records by name, of {listed(names)}, got "
-                f"{listed(records) if isinstance(records, Mapping) else short(records)}"
+                f"{listed(records) if isinstance(records, Mapping) else short(records)}{_derivatives(names, records)}"
             )
         n = next(state.shape[0] for state in states if state.name == "qdd")
         shapes = {**{state.name: state.shape for state in states}, FORCES: (n,)}
@@ -81,3 +81,10 @@ def _need_elements(owner: str, name: str, values: Array) -> None:
             f"{owner} expects rotations or poses as {name!r}, got\n{values[k]} at sample {k}\n"
             "  fix: tx.pose(...) builds one, tx.SE3.normalize(T) returns the pose nearest to a matrix"
         )
+
+
+def _derivatives(names: Sequence[str], records: Any) -> str:
+    """How to compute missing velocities and accelerations."""
+    missing = [name for name in ("qd", "qdd") if name in names and isinstance(records, Mapping) and name not in records]
+    fix = f".\n  fix: compute {listed(missing)} as scipy.signal.savgol_filter(q, 31, 5, deriv=1 or 2, delta=dt, axis=0)"
+    return fix if missing else ""

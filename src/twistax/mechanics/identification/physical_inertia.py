@@ -45,6 +45,7 @@ def physical_inertia(parameters: ExprLike) -> SpatialInertia:
     Args:
         parameters: (10,), any finite numbers.
     Raises: ShapeError if they are not of shape (10,); ModelError for numbers that are not finite.
+    Example: `arm.with_inertia({"tool": physical_inertia(tx.Parameter("tool_inertia", shape=(10,)))})`.
     """
     x = of_shape("physical_inertia", "parameters", parameters, (10,))
     if isinstance(x, Constant) and not np.isfinite(x.value).all():
@@ -69,6 +70,7 @@ def log_cholesky(body: SpatialInertia) -> NDArray[np.float64]:
         body: a body whose mass, centre of mass and inertia are numbers, or Parameters with values.
     Raises: ModelError for an object of another type; a body that is flat, a line or a point; or a body that is not
     physical.
+    Example: `log_cholesky(arm.link("tool").body)`.
     """
     of_kind("log_cholesky", "body", body, SpatialInertia)
     mass, center, tensor = (_number(name, getattr(body, name)) for name in ("mass", "center_of_mass", "inertia"))

@@ -125,6 +125,8 @@ def read_xml(path: Path, caller: str = "load", document_type: bool = False, note
         notes: receives a note if something before the declaration or after the end was removed.
     Raises: ModelError for a file that cannot be read, is not XML, or declares a document type or entities.
     """
+    if str(path).lstrip().startswith("<"):
+        raise ModelError(f"{caller} expects the path of a file, got its text.\n  fix: write the text to a file")
     try:
         data = path.read_bytes()
     except (OSError, ValueError) as error:  # ValueError: a path with a null character

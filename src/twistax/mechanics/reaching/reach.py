@@ -6,6 +6,7 @@ import dataclasses
 import enum
 import functools
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from typing import Any, SupportsIndex
 
@@ -93,6 +94,15 @@ class ReachResult:
     frames: tuple[str, ...]
     joints: tuple[str, ...]
     constraint_names: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        if is_traced(self.status) or not isinstance(self.status, (np.ndarray, jax.Array)):
+            return f"ReachResult({', '.join(self.frames)})"
+        counts = Counter(ReachStatus(int(status)).name for status in np.ravel(self.status))
+        statuses = ", ".join(f"{count} {name}" if np.ndim(self.status) else name for name, count in counts.items())
+        largest = np.max(self.distance, axis=tuple(range(np.ndim(self.distance) - 1)), initial=0.0)
+        left = [f"{frame!r} at most {d:.2g} m from its target" for frame, d in zip(self.frames, largest, strict=True)]
+        return f"ReachResult({'; '.join([statuses, *left])})"
 
     def stopped_by(self, *index: SupportsIndex) -> tuple[str, ...]:
         """The joints that would reduce the error for one target but are at a limit, for the best seed."""

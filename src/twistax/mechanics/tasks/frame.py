@@ -23,6 +23,7 @@ class FrameTask(Task):
         target: $T_d$ (4, 4) in the base; None: the Control "<frame>_pose".
         weight, gain, damping: as for `Task`.
     Raises: ModelError for an unknown frame; ShapeError for a target of the wrong shape; the errors of `Task`.
+    Example: `FrameTask("tool", tx.pose(position=[0.5, 0.0, 0.4]))`.
     """
 
     frame: str
@@ -45,6 +46,7 @@ class PositionTask(Task):
         target: $p_d$ (3,) in the base; None: the Control "<frame>_position".
         weight, gain, damping: as for `Task`.
     Raises: ModelError for an unknown frame; ShapeError for a target of the wrong shape; the errors of `Task`.
+    Example: `PositionTask("tool", [0.5, 0.0, 0.4], gain=5.0)`.
     """
 
     frame: str
@@ -67,6 +69,7 @@ class OrientationTask(Task):
         target: $R_d$ (3, 3) in the base; None: the Control "<frame>_orientation".
         weight, gain, damping: as for `Task`.
     Raises: ModelError for an unknown frame; ShapeError for a target of the wrong shape; the errors of `Task`.
+    Example: `OrientationTask("tool", np.eye(3))`.
     """
 
     frame: str

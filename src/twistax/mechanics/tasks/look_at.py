@@ -29,6 +29,7 @@ class LookAtTask(Task):
         target: $p_d$ (3,) in the base; None: the Control "<frame>_look_at".
         weight, gain, damping: as for `Task`.
     Raises: ModelError for an axis that is zero or not finite.
+    Example: `LookAtTask("tool", (0.0, 0.0, 1.0), [1.0, 0.0, 0.5])`.
     """
 
     frame: str

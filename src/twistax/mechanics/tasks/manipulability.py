@@ -42,6 +42,7 @@ class ManipulabilityTask(Task):
         weight, gain, damping: as for `Task`.
     Raises: ModelError for a frame whose Jacobian has fewer degrees of freedom than rows, or is singular everywhere; for
         a target that is not positive.
+    Example: `ManipulabilityTask("tool", weight=1e-2)`.
     """
 
     frame: str

@@ -20,6 +20,7 @@ class CenterOfMassTask(Task):
         target: $c_d$ (3,) in the base; None: the Control "center_of_mass".
         weight, gain, damping: as for `Task`.
     Raises: ModelError if no mass moves; ShapeError for a target of the wrong shape; the errors of `Task`.
+    Example: `CenterOfMassTask([0.0, 0.0, 0.8])`.
     """
 
     target: ExprLike | None = None

@@ -28,6 +28,7 @@ class PostureTask(Task):
         joints: the joints whose coordinates count; None: all of them.
         weight, gain, damping: as for `Task`.
     Raises: ModelError for an unknown joint, or one on a group.
+    Example: `PostureTask(q, weight=1e-2)`.
     """
 
     target: ExprLike | None = None
@@ -55,6 +56,7 @@ class JointLimitTask(Task):
         joints: the joints whose coordinates count; None: all of them.
         weight, gain, damping: as for `Task`.
     Raises: ModelError for an unknown joint, a joint on a group, or if no joint has two limits.
+    Example: `JointLimitTask(weight=1e-3)`.
     """
 
     joints: Collection[str] | None = None
@@ -65,7 +67,7 @@ class JointLimitTask(Task):
         rows = [i for i in _rows(space, self.joints) if np.isfinite(high[i] - low[i]) and high[i] > low[i]]
         if not rows:
             raise ModelError("JointLimitTask expects joints with a lower and an upper limit, got none")
-        return space, rows, 0.5 * (low + high)[rows], 0.5 * (high - low)[rows]
+        return space, rows, 0.5 * (low[rows] + high[rows]), 0.5 * (high[rows] - low[rows])
 
     def error(self, mechanism: KinematicTree) -> Expr:
         space, rows, middle, half = self._ranges(mechanism)

@@ -15,6 +15,7 @@ from ...checks import known_arguments
 from ...errors import ModelError, TrajectoryError, in_phase
 from ...expr import Parameter, leaves_of
 from ...linear.free_parameters import boxes_of
+from ...progress import watching
 from ...scalar.walk import uncollected
 from ...system import free_name, name_of
 from ...system.dynamics import need_compiled
@@ -139,8 +140,7 @@ class Problem:
         else:
             self.phases, links = list(dynamics), objective if links is None else links
             check_phases(self.phases, of_phase)
-        #: Whether it replaces a problem whose explicit steps are unstable.
-        self.stands_in = False
+        self.stands_in = False  #: whether it replaces a problem whose explicit steps are unstable
         self.names: list[str] = []
         for index, phase in enumerate(self.phases):
             self.names.append(free_name(phase.name or f"phase {index}", self.names))
@@ -151,6 +151,7 @@ class Problem:
         self._state_parameters(params, free)
         self._build()
 
+    @watching("problem")
     def _parts(self, kind: type[Objective]) -> list[StatedPhase]:
         """The phases, with their bridges applied."""
         carried = [initials_of(phase) for phase in self.phases]
@@ -207,9 +208,8 @@ class Problem:
         return contextlib.nullcontext() if self.alone else in_phase(name)
 
     def __repr__(self) -> str:
-        if self.alone:
-            return f"Problem({self.parts[0]!r})"
-        return f"Problem({', '.join(f'{name}: {part!r}' for name, part in zip(self.names, self.parts))})"
+        parts = [repr(part) if self.alone else f"{name}: {part!r}" for name, part in zip(self.names, self.parts)]
+        return f"Problem({', '.join(parts)})"
 
     def __getattr__(self, name: str) -> Any:
         """An attribute of the phase if there is only one, such as nodes, mesh, dynamics, objective and hessian."""

@@ -327,12 +327,14 @@ def _message(
     rows, dynamics = outcome.violations[count:], outcome.violations[:count].reshape(-1, shooting.n)
     if outcome.status is Status.NON_FINITE:
         return f"{outcome.status}. {_first_not_finite(shooting, outcome)}."
+    by_ends = rows * (shooting.determined & ~shooting.redundant)  # no unknown changes these
+    why = ", by the fixed initial and final values alone" if by_ends.max(initial=0.0) > tolerance else ""
     if rows.max(initial=0.0) > tolerance:
-        row = int(rows.argmax())
-        name, place = shooting.names[row], shooting.places[row]
-        raw = abs(float(outcome.values.rows[row]))
-        worst.append(f"{name!r} {place} is violated by {sizes[name] if name in shown else raw:.3g}")
-    if dynamics.max(initial=0.0) > tolerance:
+        row = int((by_ends if why else rows).argmax())
+        name, raw = shooting.names[row], abs(float(outcome.values.rows[row]))
+        size = sizes[name] if name in shown and not why else raw
+        worst.append(f"{name!r} {shooting.places[row]} is violated by {size:.3g}{why}")
+    if dynamics.max(initial=0.0) > tolerance and not why:
         stage, column = divmod(int(dynamics.argmax()), shooting.n)
         size = abs(float(outcome.values.defects[stage, column]))
         worst.append(f"{shooting.defect(stage, column)} is violated by {size:.3g}")
