@@ -331,8 +331,8 @@ class _Reacher:
         """
         begun = jax.vmap(self._begun, (0, 0, None))(targets, seeds, numbers)
         order = jnp.argsort(~jax.vmap(self._search.going_on)(begun, seeds), stable=True)
-        ordered = jax.tree.map(lambda a: a[order], (begun, targets, seeds))
-        solution: SearchEnd = jax.vmap(self._ended, (0, 0, 0, None))(*ordered, numbers)
+        begun, targets, seeds = jax.tree.map(lambda a: a[order], (begun, targets, seeds))
+        solution: SearchEnd = jax.vmap(self._ended, (0, 0, 0, None))(begun, targets, seeds, numbers)
         places = jnp.argsort(order)
         return jax.tree.map(lambda a: a[places], solution)
 

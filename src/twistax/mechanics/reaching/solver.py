@@ -322,8 +322,8 @@ class SeededSearch:
             following = jnp.maximum(jnp.minimum(faster, latest), last).astype(dtype)
             return jnp.where(over, count, k + 1), following, x, damping, *now
 
-        start = (jnp.where(reached, 0, count), jnp.asarray(first, dtype), x)
-        start = (*start, jnp.asarray(options.damping, dtype), e, J, e2, J2)
+        begin, damping = jnp.where(reached, 0, count), jnp.asarray(options.damping, dtype)
+        start = (begin, jnp.asarray(first, dtype), x, damping, e, J, e2, J2)
         end = jax.lax.while_loop(lambda carry: carry[0] < count, step, start)
         improved, at_end, J = end[2], end[4], end[5]
         # The last share leaves errors of its size; the shortest step removes them.
