@@ -151,9 +151,11 @@ def _run_block(program: Program, block: str, module: types.ModuleType, work: Pat
     last = tree.body.pop() if tree.body and isinstance(tree.body[-1], ast.Expr) and not program.script else None
     printed, value = io.StringIO(), None
     with contextlib.redirect_stdout(printed), _no_exit(program.name):
-        exec(compile(tree, program.script or program.name, "exec"), module.__dict__)
+        # As users run it: without the annotations as text of this file.
+        exec(compile(tree, program.script or program.name, "exec", dont_inherit=True), module.__dict__)
         if isinstance(last, ast.Expr):
-            value = eval(compile(ast.Expression(last.value), program.name, "eval"), module.__dict__)
+            expression = compile(ast.Expression(last.value), program.name, "eval", dont_inherit=True)
+            value = eval(expression, module.__dict__)
     latex = value._repr_latex_().strip("$") if hasattr(value, "_repr_latex_") else ""
     if hasattr(value, "savefig"):
         value.savefig(work / f"figure_{len(before)}.png", dpi=100)
