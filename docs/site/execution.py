@@ -151,7 +151,7 @@ def _run_block(program: Program, block: str, module: types.ModuleType, work: Pat
     last = tree.body.pop() if tree.body and isinstance(tree.body[-1], ast.Expr) and not program.script else None
     printed, value = io.StringIO(), None
     with contextlib.redirect_stdout(printed), _no_exit(program.name):
-        # As users run it: without the annotations as text of this file.
+        # The `annotations` import of this file must not apply to pages.
         exec(compile(tree, program.script or program.name, "exec", dont_inherit=True), module.__dict__)
         if isinstance(last, ast.Expr):
             expression = compile(ast.Expression(last.value), program.name, "eval", dont_inherit=True)

@@ -24,8 +24,8 @@ T = TypeVar("T")
 LOGGER = logging.getLogger("twistax")
 #: Seconds between lines, on a terminal and elsewhere.
 _LIVE, _LOGGED = 0.1, 5.0
-#: Seconds without a line before a call of a user shows one by itself, and between looks of the watching thread: less
-#: than two together.
+#: Seconds without a line before a call of a user shows one by itself, and between looks of the watching thread; their
+#: sum is below two.
 _PATIENCE, _TICK = 1.5, 0.25
 #: Of a bar, in characters.
 _WIDTH = 24
@@ -58,7 +58,7 @@ class Progress:
         self.what, self._cost, self._text = what, cost, ""
         self._stream = sys.stderr if stream is None else stream
         self._logs = LOGGER.isEnabledFor(logging.INFO) and LOGGER.hasHandlers()
-        self._live = not self._logs and self._stream.isatty()
+        self._live = not self._logs and _is_terminal(self._stream)
         switched_off = LOGGER.disabled or LOGGER.level > logging.INFO
         self.shown = shown is not False and not switched_off and (shown is True or self._live or self._logs)
         self._patience = 0.0 if shown else _PATIENCE
@@ -144,12 +144,20 @@ class Progress:
         self._written, self._standing = time.perf_counter(), live
 
 
+def _is_terminal(stream: Any) -> bool:
+    """Programs without a console have None, and other streams may lack `isatty` or be closed."""
+    try:
+        return bool(stream.isatty())
+    except (AttributeError, ValueError):
+        return False
+
+
 def watched(what: str, progress: bool | None = None) -> Progress | contextlib.nullcontext[None]:
     """A context that shows elapsed seconds; `progress` is the argument of a public call.
 
     It has no cost if no line can appear.
     """
-    if progress is False or not (progress or sys.stderr.isatty() or LOGGER.isEnabledFor(logging.INFO)):
+    if progress is False or not (progress or _is_terminal(sys.stderr) or LOGGER.isEnabledFor(logging.INFO)):
         return contextlib.nullcontext()
     line = Progress(what, shown=progress)
     return line if line.shown else contextlib.nullcontext()
@@ -158,7 +166,7 @@ def watched(what: str, progress: bool | None = None) -> Progress | contextlib.nu
 class FirstCalls:
     """Contexts of a compiled function: the first call for a key may compile, so it shows its seconds.
 
-    Later calls are too short for a line and have no cost.
+    Later calls have no cost. They show nothing, also if arguments of another type compile the function again.
     """
 
     def __init__(self, what: str) -> None:

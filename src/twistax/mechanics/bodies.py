@@ -292,14 +292,15 @@ class SpatialInertia:
         return self._derived((m, c, tensor), physical, changing_parts, poses)
 
     def __add__(self, other: object) -> SpatialInertia:
-        if other is None:  # the body of a link without mass
-            return self
         if not isinstance(other, SpatialInertia):
-            raise OperationError(f"+ expects another SpatialInertia, got {other!r}")
+            raise OperationError(
+                f"+ expects another SpatialInertia, got {other!r}.\n"
+                "  fix: functools.reduce(operator.add, bodies) in place of sum(bodies), which starts with 0"
+            )
         return self.merge(other)
 
     def __radd__(self, other: object) -> SpatialInertia:
-        return self + other
+        return self if other is None else self + other  # None: the body of a link without mass
 
     @property
     def _centered(self) -> bool:

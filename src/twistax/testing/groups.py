@@ -30,7 +30,7 @@ _DRIFT, _ROUND_OFF = 1e-3, 1e-8
 
 @watching("check_group")
 def check_group(group: Group, *, seed: int = 0) -> None:
-    """Check that a group satisfies the laws on which states, integrators and optimisers rely; takes a few seconds.
+    """Check that a group satisfies the laws on which states, integrators and optimisers rely.
 
     It checks values, shapes and precision; $g e = g$, inverses and products; $Log(Exp(d)) = d$, $Exp(Log(g)) = g$;
     $g Exp(d) g^-1 = Exp(Ad_g d)$, $Ad_Exp(d) = exp(ad_d)$; the Jacobians by their series and by $Exp(d + e) =

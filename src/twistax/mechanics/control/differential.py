@@ -217,7 +217,7 @@ class DifferentialController:
         params = {leaf.name: targets.pop(leaf.name, leaf.value) for leaf in self.parameters}
         start = np.zeros(self.solver.start_size) if warm is None else warm.start
         arguments = (x, targets, params, qd, start, self.settings.arrays)
-        with self._first_calls():
+        with self._first_calls(limited):
             step: DifferentialStep = self._call(*arguments)
         return step
 

@@ -21,8 +21,10 @@ from .polytope import root
 from .rim import RimIntervals, rim_intervals, rim_normal, sign_change, unit
 from .solids import Core
 
-#: A distance that is zero by rounding, relative to the radius; by which triangles of a face overlap.
-_TOUCHING, _SEAM = 1e-12, 1e-13
+#: A distance that is zero by rounding, relative to the radius.
+_TOUCHING = 1e-12
+#: The overlap of triangles of one face, in coordinates of a triangle.
+_SEAM = 1e-13
 #: The gap and the height of features that do not exist.
 _FAR = 1e12
 
@@ -222,9 +224,10 @@ def _of_corners(placed: _Placed) -> _Candidate:
     def corner(_: None, n: jax.Array) -> tuple[None, jax.Array]:
         return None, jnp.min(flat @ n)
 
-    # In this direction the corner is the nearest one, and not another on the same line.
+    # Of two corners on one line through the axis, only one is the nearest in its direction.
     heights, nearest = jnp.sum(flat * n, axis=1), jax.lax.scan(corner, None, n)[1]
-    is_nearest = (heights <= nearest + _TOUCHING * placed.radius) & (jnp.abs(n[:, 2]) < 0.5)
+    rounding = 64.0 * jnp.finfo(flat.dtype).eps * (placed.radius + jnp.max(jnp.abs(flat)))
+    is_nearest = (heights <= nearest + rounding) & (jnp.abs(n[:, 2]) < 0.5)
     gaps = jnp.where(is_nearest, nearest - placed.radius, -_FAR)
     i = place_of(gaps == jnp.max(gaps))
     return placed.candidate(jnp.max(gaps), 4, at(n, i), corner=at(placed.corners, i))

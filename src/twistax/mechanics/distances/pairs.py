@@ -67,7 +67,7 @@ def clearances(
         far: None, or the distance, m, of the broad phase: if the spheres around two solids are farther apart than this,
             their distance is returned in place of that of the solids, which is not computed. It is a lower bound, so
             constraints remain satisfied; the value is discontinuous at the switch. For a `HalfSpace` and a
-            `DistanceGrid` the distance is always exact.
+            `DistanceGrid` there is no broad phase.
     Raises:
         ModelError: an unknown frame or name; a name that is both a frame and an obstacle; a solid without a distance
             function; collision geometry that cannot be read, by link; an SRDF file of another robot; no remaining pair.
@@ -81,7 +81,7 @@ def clearances(
         number("clearances: far", far, "a distance of 0 or more, in m", lambda size: size >= 0.0)
     by_frame = _of_links(mechanism) if solids is None else _by_name("solids", solids)
     by_obstacle = _by_name("obstacles", obstacles or {})
-    if twice := [name for name in by_obstacle if name in by_frame]:
+    if twice := [name for name in by_obstacle if name in by_frame or name in mechanism.frames]:
         raise ModelError(
             f"clearances: {twice[0]!r} is the name of a frame and of an obstacle.\n  fix: use another name"
         )
@@ -140,6 +140,7 @@ def _pairs_of_names(pairs: Iterable[tuple[str, str]], known: Mapping[str, str]) 
     Args:
         known: the frame or the obstacle of each name.
     """
+    instance("clearances: ignored", pairs, Iterable, "pairs of names, such as [('hand', 'table')]", ModelError)
     result = set()
     for pair in pairs:
         if isinstance(pair, str) or not isinstance(pair, Collection) or len(pair) != 2:
@@ -147,7 +148,7 @@ def _pairs_of_names(pairs: Iterable[tuple[str, str]], known: Mapping[str, str]) 
                 f"clearances: ignored expects pairs of names, such as [('hand', 'table')], got {short(pair)}"
             )
         for name in pair:
-            if name not in known:
+            if not isinstance(name, str) or name not in known:
                 raise ModelError(
                     f"clearances: ignored has {short(name)}, which is neither a frame nor an obstacle; "
                     f"known are {listed(known, name)}"

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from typing import Any, NamedTuple
 
 import jax
@@ -74,6 +74,11 @@ class ConvexPolytope:
         from scipy.spatial import ConvexHull
 
         return Core.of_hull(ConvexHull(self.corners), self.at, float(self.radius))
+
+
+def size_key(solid: Rounded | ConvexPolytope) -> Hashable:
+    """Equal for solids of the same kind and size, which differ at most in their poses; polytopes by identity."""
+    return id(solid) if isinstance(solid, ConvexPolytope) else (solid.half.tobytes(), solid.radius)
 
 
 def core_of(solid: Rounded | ConvexPolytope) -> Core:

@@ -21,7 +21,7 @@ from ...expr.functions.function import Function
 from ...expr.lie import Inverse
 from ...scalar.fast import searched
 from .gjk import at
-from .polytope import ConvexPolytope, NearestFeatures, core_of, distance_of, features_of, hull_of, size_of
+from .polytope import ConvexPolytope, NearestFeatures, core_of, distance_of, features_of, hull_of, size_key, size_of
 from .separating_axes import Hull
 from .solids import Core, Rounded
 
@@ -33,7 +33,7 @@ class PolytopeTable:
     """Tables of polytopes, boxes, capsules and balls."""
 
     def __init__(self, solids: Iterable[Rounded | ConvexPolytope]) -> None:
-        self._cores = {_key(solid): core_of(solid) for solid in solids}
+        self._cores = {size_key(solid): core_of(solid) for solid in solids}
         self._places = dict[Hashable, tuple[_Table, int]]()
         by_size = sorted(self._cores, key=lambda key: len(self._cores[key].edges))
         for has_faces in (False, True):
@@ -47,19 +47,14 @@ class PolytopeTable:
         """The signed distance () of two solids of the tables, if T is the pose of b in the frame of a. One of them has
         faces.
         """
-        if not len(self._cores[_key(a)].normals):
+        if not len(self._cores[size_key(a)].normals):
             a, b, T = b, a, Inverse(T)
-        (first, i), (second, j) = self._places[_key(a)], self._places[_key(b)]
+        (first, i), (second, j) = self._places[size_key(a)], self._places[size_key(b)]
         if (first, second) not in self._functions:
             self._functions[first, second] = Function(_distance(first, second), (), name="signed_distance")
-        radius = self._cores[_key(a)].radius + self._cores[_key(b)].radius
+        radius = self._cores[size_key(a)].radius + self._cores[size_key(b)].radius
         numbers = Constant(np.array([i, j], float))
         return self._functions[first, second](Concat(Reshaped(T[:3], (12,)), numbers)) - radius
-
-
-def _key(solid: Rounded | ConvexPolytope) -> Hashable:
-    """Equal for solids of the same core, whose radius is the same."""
-    return id(solid) if isinstance(solid, ConvexPolytope) else (solid.half.tobytes(), solid.radius)
 
 
 def _width(core: Core) -> int:

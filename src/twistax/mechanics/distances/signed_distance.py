@@ -38,7 +38,7 @@ from ..arguments import pose
 from .cylinder import cylinder_to_core, over_plane
 from .cylinder_pair import cylinder_to_cylinder
 from .distance_grid import DistanceGrid
-from .polytope import ConvexPolytope, core_of, distance
+from .polytope import ConvexPolytope, core_of, distance, size_key
 from .polytope_table import PolytopeTable
 from .solids import HalfSpace, Rounded, rounded
 
@@ -108,11 +108,12 @@ class Pair:
             return b.value(-(T[:3, :3].T @ T[:3, 3])) - a.radius
         if isinstance(b, HalfSpace):
             return -Dot(T[:3, 2], T[:3, 3]) - self._reach(T[:3, 2])
-        if table is not None and not isinstance(a, Cylinder) and _by_search(a, b):
+        if table is not None and not isinstance(a, Cylinder) and _prefers_search(a, b):
             return table.distance(a, b, T)
         if isinstance(a, Rounded) and isinstance(b, Rounded):
             return _apart(a, b, T)
-        functions, key = {} if functions is None else functions, (_key(a), _key(b))
+        key = _key(a), _key(b)
+        functions = {} if functions is None else functions
         if key not in functions:
             functions[key] = Function(self.of_arrays(), (), name="signed_distance")
         return functions[key](T)
@@ -167,10 +168,7 @@ def placed_pair(owner: str, a: Solid, b: Solid, T_a: ExprLike | None, T_b: ExprL
 
 
 def _key(solid: Rounded | ConvexPolytope | Cylinder) -> Hashable:
-    """Equal for solids of the same size, which differ at most in their poses."""
-    if isinstance(solid, Cylinder):
-        return solid.radius, solid.length
-    return id(solid) if isinstance(solid, ConvexPolytope) else (solid.half.tobytes(), solid.radius)
+    return (solid.radius, solid.length) if isinstance(solid, Cylinder) else size_key(solid)
 
 
 def _has_volume(solid: Rounded | ConvexPolytope | Cylinder) -> bool:
@@ -181,9 +179,9 @@ def _core(owner: str, solid: Solid) -> Rounded | ConvexPolytope | Cylinder:
     return solid if isinstance(solid, (ConvexPolytope, Cylinder)) else rounded(owner, solid)
 
 
-def _by_search(a: Rounded | ConvexPolytope, b: Rounded | ConvexPolytope) -> bool:
-    """Whether the search of a table is to be preferred. The formula of two boxes has a thousand operations; that of a
-    box and a capsule or a ball is faster.
+def _prefers_search(a: Rounded | ConvexPolytope, b: Rounded | ConvexPolytope) -> bool:
+    """Whether the search of a table is faster than a formula: of a polytope there is none, and that of two boxes has a
+    thousand operations.
     """
     if isinstance(a, ConvexPolytope) or isinstance(b, ConvexPolytope):
         return True

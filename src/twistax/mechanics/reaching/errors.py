@@ -27,6 +27,7 @@ from ...expr import State, leaves_of, to_expr
 from ..kinematic_tree import KinematicTree
 from ..tasks.configuration_space import Arrays, ConfigurationSpace
 from ..tasks.frame import OrientationTask, PositionTask
+from ..tasks.manipulability import ManipulabilityTask
 from ..tasks.rows import ConstraintRows, TaskRows, inputs_of
 from ..tasks.task import Task
 
@@ -89,9 +90,9 @@ class ReachErrors:
     def _need_positions(self, task: Task) -> None:
         """Raise ModelError for a task of velocities, whose error no positions reduce."""
         if not any(isinstance(leaf, State) for leaf in leaves_of(to_expr(task.error(self.space.mechanism)))):
+            fix = "pass target=" if isinstance(task, ManipulabilityTask) else "use it in a DifferentialController"
             raise ModelError(
-                f"reach expects tasks whose errors depend on positions, got {type(task).__name__}.\n"
-                "  fix: use it in a DifferentialController; a ManipulabilityTask needs a target here"
+                f"reach expects tasks whose errors depend on positions, got {type(task).__name__}.\n  fix: {fix}"
             )
 
     @staticmethod

@@ -24,7 +24,7 @@ from ...system.system import constraints_by_name
 from ..algorithms.dynamics import checked
 from ..kinematic_tree import KinematicTree
 from ..tasks.configuration_space import Arrays, ConfigurationSpace
-from ..tasks.rows import several
+from ..tasks.rows import task_list
 from ..tasks.task import Task
 from .errors import ReachErrors
 from .solver import SearchEnd, SearchOptions, SeededSearch
@@ -179,7 +179,7 @@ def reach(
         `reach(arm, {"flange": tx.pose(position=[0.4, 0.1, 0.5])}).x["q"]`
     """
     checked("reach", mechanism)
-    tasks, secondary = several("reach", tasks), several("reach", secondary)
+    tasks, secondary = task_list("reach: tasks", tasks), task_list("reach: secondary", secondary)
     arrays, leading = _targets(mechanism, targets, bool(tasks))
     for name, value in (("seeds", seeds), ("candidates", candidates), ("iterations", iterations)):
         whole(f"reach: {name}", value, 1)
@@ -277,7 +277,8 @@ class _Reacher:
         parts = [self._feature(name, np.asarray(poses[name])) for name in self._frames]
         self._features = np.concatenate([np.zeros((seeds * candidates, 0)), *parts], axis=1)
         self._search = SeededSearch(self.errors, options)
-        self._begun, self._ended = part_of_package(self._search.begun), part_of_package(self._search.ended)
+        self._first_steps = part_of_package(self._search.first_steps)
+        self._remaining_steps = part_of_package(self._search.remaining_steps)
         self._call = jax.jit(self._all, static_argnums=3)
 
     @staticmethod
@@ -329,10 +330,10 @@ class _Reacher:
         """The searches for all targets. Those that go on are neighbours: a kernel takes the steps of neighbours
         together.
         """
-        begun = jax.vmap(self._begun, (0, 0, None))(targets, seeds, numbers)
-        order = jnp.argsort(~jax.vmap(self._search.going_on)(begun, seeds), stable=True)
+        begun = jax.vmap(self._first_steps, (0, 0, None))(targets, seeds, numbers)
+        order = jnp.argsort(~jax.vmap(self._search.needs_more)(begun, seeds), stable=True)
         begun, targets, seeds = jax.tree.map(lambda a: a[order], (begun, targets, seeds))
-        solution: SearchEnd = jax.vmap(self._ended, (0, 0, 0, None))(begun, targets, seeds, numbers)
+        solution: SearchEnd = jax.vmap(self._remaining_steps, (0, 0, 0, None))(begun, targets, seeds, numbers)
         places = jnp.argsort(order)
         return jax.tree.map(lambda a: a[places], solution)
 

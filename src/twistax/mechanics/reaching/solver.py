@@ -1,4 +1,4 @@
-"""Damped least squares within joint limits, from successive seeds until one reaches the target, as one loop per target.
+"""Damped least squares within joint limits, from successive seeds until one reaches the target.
 
 A step minimises $|e - J d|^2 + mu |d|^2$ over the degrees of freedom that are not blocked by a limit,
 
@@ -52,10 +52,6 @@ class SearchOptions:
         damping: damping of the first step, as a fraction of |e|^2.
         grow, shrink: factors of the damping after a rejected and after an accepted step.
         least, most: bounds of the damping as a fraction of |e|^2; above the upper one the search from a seed ends.
-        first_share, last_share: the weight of |e|^2 of secondary tasks relative to that of the others, at the first and
-            the last step.
-        near: the steepness below which this weight falls by the factor `fall` at once.
-        secondary_flat: the steepness at which the steps for secondary tasks end, at the last share.
     """
 
     iterations: int
@@ -66,11 +62,6 @@ class SearchOptions:
     shrink: float = 0.2
     least: float = 1e-6
     most: float = 1e6
-    first_share: float = 1e-2
-    last_share: float = 1e-7
-    near: float = 1e-2
-    fall: float = 0.1
-    secondary_flat: float = 1e-5
 
     def flat_in(self, dtype: Any) -> float:
         """`flat`, or in low precision the slope at which a step changes |e|^2 by less than its rounding."""
@@ -122,7 +113,7 @@ class SeededSearch:
         self._errors, self._options = errors, options
         self._solves: dict[int, Any] = {}
 
-    def begun(self, targets: Arrays, seeds: Arrays, numbers: Arrays) -> ReachState:
+    def first_steps(self, targets: Arrays, seeds: Arrays, numbers: Arrays) -> ReachState:
         """The search for a target from seeds (count, ...), until it is over or needs second derivatives.
 
         Args:
@@ -134,7 +125,7 @@ class SeededSearch:
         s = ReachState(start, damping, zero, zero, zero > 0, zero, zero, start, jnp.sum(at.e * at.e))
         return self._searched(s, at, targets, seeds, numbers, lambda s: s.step < self._options.neglecting)
 
-    def ended(self, s: ReachState, targets: Arrays, seeds: Arrays, numbers: Arrays) -> SearchEnd:
+    def remaining_steps(self, s: ReachState, targets: Arrays, seeds: Arrays, numbers: Arrays) -> SearchEnd:
         """The best positions for a target, by the rest of a search."""
         count = next(iter(seeds.values())).shape[0]
         e, J = self._errors(s.x, targets, numbers)
@@ -145,8 +136,8 @@ class SeededSearch:
         free, share = self._steepness(x, e, J)
         return SearchEnd(x, e, free, share, s.minima, jnp.minimum(s.seed + 1, count), s.steps)
 
-    def going_on(self, s: ReachState, seeds: Arrays) -> jax.Array:
-        """Whether a search that has begun is not over."""
+    def needs_more(self, s: ReachState, seeds: Arrays) -> jax.Array:
+        """Whether a search is not over after its first steps."""
         return (s.step >= self._options.neglecting) & (s.seed < next(iter(seeds.values())).shape[0])
 
     def _searched(
@@ -210,7 +201,7 @@ class SeededSearch:
         before, after = jnp.sum(at.e * at.e), jnp.sum(e * e)
         kept = restarted | (after < before)
         damping = jnp.where(kept, jnp.maximum(s.damping * options.shrink, options.least), s.damping * options.grow)
-        better = after < s.least
+        better = (after < s.least) | (kept & self.reached(e, numbers))
         state = ReachState(
             x={name: jnp.where(kept, value, s.x[name]) for name, value in trial.items()},
             damping=jnp.where(restarted, options.damping, damping).astype(e.dtype),
@@ -290,46 +281,48 @@ class SeededSearch:
     def _improved(self, x: Arrays, targets: Arrays, numbers: Arrays) -> Arrays:
         """Positions, starting from x, at which secondary tasks have a smaller error; x if the target is not reached.
 
-        Steps of damped least squares of $|e|^2 + s |e_2|^2$, with the share s of the secondary tasks falling to nearly
-        zero: they move along the solutions of the others. The share falls at a least rate, and faster near minima.
+        A step minimises $|e_2 - J_2 d|^2 + mu |d|^2$ with $J d = 0$; the shortest step to e = 0 follows. Both are
+        accepted if |e_2| decreases and the target is reached.
         """
-        options, count = self._options, self._options.iterations
+        options, space = self._options, self._errors.space
         e, J = self._errors(x, targets, numbers)
-        e2, J2 = self._errors.secondary(x, numbers)
-        first, last = np.log(options.first_share), np.log(options.last_share)
         reached, dtype = self.reached(e, numbers), e.dtype
+        eps, unit = np.finfo(dtype).eps, np.eye(J.shape[1], dtype=dtype)
 
         def step(carry: Any) -> Any:
-            k, log_share, x, damping, e, J, e2, J2 = carry
-            share = jnp.exp(log_share)
-            slope = J.T @ e + share * (J2.T @ e2)
-            free = self._errors.space.free(x, slope)
-            size = jnp.maximum(share**2 * jnp.sum(J2 * J2) * jnp.sum(e2 * e2), np.finfo(dtype).tiny)
-            steepness = jnp.sqrt(jnp.sum(jnp.where(free, slope, 0.0) ** 2) / size)
-            G = jnp.where(free[:, None] & free[None], J.T @ J + share * (J2.T @ J2), 0.0)
-            mu = damping * share * jnp.sum(e2 * e2) + np.finfo(dtype).eps * (jnp.sum(J * J) + 1.0)
-            d = self._solve(G + mu * np.eye(len(slope), dtype=dtype), jnp.where(free, slope, 0.0))
-            trial = self._errors.space.moved(x, d)
-            after, after2 = self._errors(trial, targets, numbers), self._errors.secondary(trial, numbers)
-            before = jnp.sum(e * e) + share * jnp.sum(e2 * e2)
-            kept = jnp.sum(after[0] ** 2) + share * jnp.sum(after2[0] ** 2) < before
-            damping = jnp.where(kept, jnp.maximum(damping * options.shrink, options.least), damping * options.grow)
-            now = [jnp.where(kept, new, old) for new, old in zip((*after, *after2), (e, J, e2, J2), strict=True)]
+            k, x, damping, J, e2, J2 = carry
+            free = space.free(x, self._along(J, J2.T @ e2))
+            J, J2 = (jnp.where(free[None], rows, 0.0) for rows in (J, J2))
+            slope, before, size = J2.T @ e2, jnp.sum(e2 * e2), jnp.sum(J2 * J2)
+            mu = damping * before + eps * jnp.where(size > 0.0, size, 1.0)
+            # The large weight of J d leaves the directions with J d = 0, up to a part that is then removed.
+            weight = (size + mu) / (np.sqrt(eps) * jnp.maximum(jnp.sum(J * J), np.finfo(dtype).tiny))
+            d = self._along(J, self._solve(J2.T @ J2 + weight * (J.T @ J) + mu * unit, slope))
+            trial = space.moved(x, d)
+            off, J_off = self._errors(trial, targets, numbers)
+            trial = space.moved(trial, self._shortest(jnp.where(free[None], J_off, 0.0), off))
+            now, after = self._errors(trial, targets, numbers), self._errors.secondary(trial, numbers)
+            predicted, decrease = 2.0 * slope @ d - jnp.sum((J2 @ d) ** 2), before - jnp.sum(after[0] ** 2)
+            kept = self.reached(now[0], numbers) & (decrease > 0.0)
+            # Of a large error the second derivatives count: the decrease shows them.
+            shorter, longer = ~kept | (decrease < 0.25 * predicted), decrease > 0.75 * predicted
+            damping = damping * jnp.where(shorter, options.grow, jnp.where(longer, options.shrink, 1.0))
+            over = (predicted <= eps ** (2.0 / 3.0) * before) | (damping > options.most)
+            damping = jnp.maximum(damping, options.least)
             x = {name: jnp.where(kept, trial[name], value) for name, value in x.items()}
-            over = (log_share <= last) & (steepness <= options.secondary_flat)
-            latest = first + (last - first) * ((k + 1).astype(dtype) / max(count - 1, 1))
-            faster = jnp.where(steepness <= options.near, log_share + np.log(options.fall), log_share)
-            following = jnp.maximum(jnp.minimum(faster, latest), last).astype(dtype)
-            return jnp.where(over, count, k + 1), following, x, damping, *now
+            J, e2, J2 = (jnp.where(kept, *pair) for pair in zip((now[1], *after), carry[3:], strict=True))
+            return jnp.where(over, options.iterations, k + 1), x, damping.astype(dtype), J, e2, J2
 
-        begin, damping = jnp.where(reached, 0, count), jnp.asarray(options.damping, dtype)
-        start = (begin, jnp.asarray(first, dtype), x, damping, e, J, e2, J2)
-        end = jax.lax.while_loop(lambda carry: carry[0] < count, step, start)
-        improved, at_end, J = end[2], end[4], end[5]
-        # The last share leaves errors of its size; the shortest step removes them.
-        free = self._errors.space.free(improved, J.T @ at_end)
-        mu = np.finfo(dtype).eps * (jnp.sum(J * J) + 1.0)
-        improved = self._errors.space.moved(improved, self.least_squares(jnp.where(free[None], J, 0.0), at_end, mu))
-        at_end, smaller = self._errors(improved, targets, numbers)[0], self._errors.secondary(improved, numbers)[0]
-        kept = reached & self.reached(at_end, numbers) & (jnp.sum(smaller**2) < jnp.sum(e2**2))
-        return {name: jnp.where(kept, improved[name], value) for name, value in x.items()}
+        begin, damping = jnp.where(reached, 0, options.iterations), jnp.asarray(options.damping, dtype)
+        start = (begin, x, damping, J, *self._errors.secondary(x, numbers))
+        improved: Arrays = jax.lax.while_loop(lambda carry: carry[0] < options.iterations, step, start)[1]
+        return improved
+
+    def _shortest(self, J: jax.Array, e: jax.Array) -> jax.Array:
+        """The shortest step d with J d = e, in the sense of least squares."""
+        size = jnp.sum(J * J)
+        return self.least_squares(J, e, jnp.where(size > 0.0, np.finfo(e.dtype).eps * size, 1.0))
+
+    def _along(self, J: jax.Array, d: jax.Array) -> jax.Array:
+        """The part of a step along which e does not change."""
+        return d - self._shortest(J, J @ d)

@@ -25,11 +25,13 @@ _SMALLEST = 1e-3
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ManipulabilityTask(Task):
-    """Increases the manipulability $m = sqrt(det G)$ of a frame, with $G = J J^T + s^2 1$ and $s = 10^-3$.
+    """Increases the manipulability $m = sqrt(det G)$ of a frame, with $G = J J^T + s^2 1$ and $s = 10^-3$ (m, and
+    no unit in rows of the angular velocity).
 
     Without a target, the error is 1, and the gain is the desired rate of $log m$ per second. With a target $m_d$, the
     error is $log(m_d / m)$. The Jacobian is $(log m)_i = tr(G^-1 J_i J^T)$ with the derivatives $J_i$ of the frame's
-    Jacobian. The term $s^2$ is negligible except near singular configurations, where it keeps G invertible.
+    Jacobian. The term $s^2$ keeps G invertible at singular configurations; it is negligible where the singular
+    values of J are much larger than s.
 
     Source: T. Yoshikawa, Manipulability of robotic mechanisms, International Journal of Robotics Research 4 (1985); Y.
     Nakamura, H. Hanafusa, Inverse kinematic solutions with singularity robustness, Journal of Dynamic Systems,
@@ -54,7 +56,8 @@ class ManipulabilityTask(Task):
         if self.target is None:
             return Constant(np.ones(1))
         target = self._target(f"{self.frame}_manipulability", self.target, ())
-        if not isinstance(self.target, Expr) and not np.asarray(self.target) > 0.0:
+        number = getattr(self.target, "value", None) if isinstance(self.target, Expr) else self.target
+        if number is not None and not np.asarray(number) > 0.0:
             raise ModelError(f"ManipulabilityTask expects target to be positive, got {short(self.target)}")
         factor = InverseFactor(self._gram(self._rows(mechanism)))  # V with G^-1 = V V^T, so m is 1 / det(V)
         k = np.arange(factor.shape[0])

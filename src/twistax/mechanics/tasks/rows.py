@@ -33,7 +33,7 @@ class TaskRows:
     """
 
     def __init__(self, owner: str, space: ConfigurationSpace, tasks: Iterable[Task]) -> None:
-        self.tasks, self._dofs = several(owner, tasks), space.mechanism.dofs
+        self.tasks, self._dofs = task_list(owner, tasks), space.mechanism.dofs
         for task in self.tasks:
             if not isinstance(task, Task):
                 raise ModelError(f"{owner} expects tasks, such as FrameTask, got {short(task)}")
@@ -56,7 +56,7 @@ class TaskRows:
         anything else.
         """
         rows = copy.copy(self)
-        rows.tasks = tuple(tasks)
+        rows.tasks = task_list(owner, tasks)
         if list(map(_program, rows.tasks)) != list(map(_program, self.tasks)):
             raise ModelError(
                 f"{owner}: replace expects the tasks of the controller with another weight, gain or damping.\n"
@@ -73,7 +73,7 @@ class TaskRows:
         return e, J
 
 
-def several(owner: str, tasks: Iterable[Task]) -> tuple[Task, ...]:
+def task_list(owner: str, tasks: Iterable[Task]) -> tuple[Task, ...]:
     """The tasks of a list. Raises ModelError for another object, such as one task."""
     if not isinstance(tasks, Iterable) or isinstance(tasks, str):
         raise ModelError(f"{owner} expects a list of tasks, got {short(tasks)}.\n  fix: [task] is a list of one task")

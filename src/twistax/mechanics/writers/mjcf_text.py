@@ -140,14 +140,14 @@ class MjcfText:
         shapes = {id(shape): shape for shape in part.shapes}
         for key, shape in (shapes | solids).items():
             geom = self._geom(shape)
-            if geom is None:
+            if geom is None or (geom["type"] == "plane" and part is not self._mechanism):
                 for kind, some in (("shapes", shapes), ("collision", solids)):
                     if key in some:
                         self._losses.add(kind, name)
                 continue
             if key not in shapes:
                 geom["group"] = _HIDDEN
-            rgba = text([*(part / 255.0 for part in shape.color), shape.opacity])
+            rgba = text([*(value / 255.0 for value in shape.color), shape.opacity])
             collides = dict.fromkeys(("contype", "conaffinity"), str(int(key in solids)))
             child(element, "geom", **geom, rgba=rgba, mass="0", **collides, **_placed(shape.at))
 

@@ -104,7 +104,7 @@ class InKernels(ABC):
 
     @abstractmethod
     def plain(self, arguments: Sequence[Any]) -> list[Any]:
-        """All results for rows of arguments, without JAX. No kernel is made for it."""
+        """All results for rows of arguments, by the kernel if it exists already. None is made for it."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -50,9 +50,9 @@ class Replay:
     final: dict[str, float]
 
     def __repr__(self) -> str:
-        violated = {name: size for name, size in self.violations.items() if size > 0.0}
-        worst = sorted(violated, key=violated.__getitem__, reverse=True)
-        parts = [f"{name!r} by {violated[name]:.2g}" for name in worst[:3]] + ["..."] * (len(worst) > 3)
+        sizes = self.violations | self.final
+        worst = sorted((name for name in sizes if sizes[name] > 0.0), key=sizes.__getitem__, reverse=True)
+        parts = [f"{name!r} by {sizes[name]:.2g}" for name in worst[:3]] + ["..."] * (len(worst) > 3)
         misses = ", ".join(f"{k} of {name!r} {v:.2g}" for name, of in self.misses.items() for k, v in of.items())
         limits = f"violated: {', '.join(parts)}" if worst else "no limit is violated"
         return f"Replay({len(self.ts)} times until {self.ts[-1]:.6g} s; misses the planned end: {misses}; {limits})"

@@ -175,17 +175,15 @@ class CalledLoops(InKernels):
 
     def __init__(self, form: ArrayForm, make: Callable[[], Any]) -> None:
         self._body, self._make = ArrayBody(form, 1), make
-        self._made: Any = None
 
     @functools.cached_property
     def kernel(self) -> Any:
-        self._made = self._make()
-        return self._made
+        return self._make()
 
     def plain(self, arguments: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
         # A kernel has passed its self-test. NumPy takes a tenth of a second for a search, in each call of it.
-        body, kernel = self._body, self._made
-        if kernel is None:
+        body, kernel = self._body, self.__dict__.get("kernel")
+        if kernel is None or not body.read:
             return body.plain(arguments)
         results = iter(kernel.run([arguments[k] for k in body.read]))
         empty = np.zeros((len(arguments[0]), 0))
