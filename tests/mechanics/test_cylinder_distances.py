@@ -191,6 +191,14 @@ def test_aligned_solids_have_no_nan(other: str) -> None:
 
 
 @pytest.mark.thorough
+@pytest.mark.parametrize("other", ["box", pytest.param("polytope", marks=pytest.mark.thorough)])
+def test_single_precision(other: str) -> None:
+    T = poses(COUNT, 0.3)[1]
+    expected = distances(other, T)
+    np.testing.assert_allclose(compiled(other)(T.astype(np.float32)), expected, rtol=0.0, atol=3e-6)
+    assert (expected < -0.05).sum() > 20
+
+
 def test_places_count_and_the_order_does_not() -> None:
     high = Cylinder(0.2, 1.0, at=(0.0, 0.0, 2.0))
     for a, b in ((high, SOLIDS["cylinder"]), (SOLIDS["cylinder"], high)):

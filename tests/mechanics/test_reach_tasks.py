@@ -69,6 +69,11 @@ def test_manipulability_is_of_the_second_priority() -> None:
     for weight in (1e-3, 1e3):
         other = reach(arm, {"flange": target}, secondary=[dataclasses.replace(task, weight=weight)], start=start)
         np.testing.assert_allclose(other.x["q"], q, atol=1e-6)
+    single = reach(
+        arm, {"flange": target.astype(np.float32)}, secondary=[task], start={"q": start["q"].astype(np.float32)}
+    )
+    assert single.status == ReachStatus.REACHED
+    np.testing.assert_allclose(single.x["q"], q, atol=2e-2)
 
 
 def test_constraints_are_kept_or_named() -> None:

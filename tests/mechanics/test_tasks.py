@@ -19,6 +19,7 @@ from twistax.mechanics import (
     CenterOfMassTask,
     FrameTask,
     JointLimitTask,
+    Link,
     LookAtTask,
     ManipulabilityTask,
     Mechanism,
@@ -28,6 +29,7 @@ from twistax.mechanics import (
     PostureTask,
     RelativeFrameTask,
     Task,
+    joints,
 )
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -99,8 +101,25 @@ def test_momentum_limits_and_manipulability() -> None:
     e, slope = evaluated([task.error(arm), task.jacobian(arm)], {"q": q})
     assert np.allclose(e, np.log(0.2) - logarithm(q), atol=1e-12)
     assert np.allclose(slope[0], jax.grad(logarithm)(q), atol=1e-9)
-    stretched = evaluated([task.error(arm), task.jacobian(arm)], {"q": np.zeros(4, np.float32)})  # singular
-    assert all(np.isfinite(value).all() for value in stretched)
+
+
+def test_manipulability_near_a_singular_configuration() -> None:
+    """A yaw joint and two pitch joints, stretched out: J has rank 2."""
+    body, at = mechanics.SpatialInertia(mass=1.0, inertia=np.eye(3)), tx.pose(position=[1.0, 0.0, 0.0])
+    links = [
+        Link(joints.Revolute("yaw", (0.0, 0.0, 1.0)), body, np.eye(4)),
+        Link(joints.Revolute("shoulder", (0.0, 1.0, 0.0)), body, np.eye(4), parent="yaw"),
+        Link(joints.Revolute("elbow", (0.0, 1.0, 0.0)), body, at, parent="shoulder"),
+        Link(joints.Fixed("tool"), None, at, parent="elbow"),
+    ]
+    arm, task = Mechanism(links), ManipulabilityTask("tool", target=0.2)
+    lowered = tx.lower([task.error(arm), task.jacobian(arm), mechanics.frame_jacobian(arm, "tool")[:3]])
+    assert np.linalg.matrix_rank(np.asarray(lowered(0.0, {"q": np.zeros(3)})[2])) == 2
+    for q in (np.zeros(3), np.array([0.3, 0.2, 1e-5]), np.array([0.3, 0.2, -1e-3])):
+        e, slope, J = (np.asarray(value) for value in lowered(0.0, {"q": q}))
+        assert np.allclose(e, np.log(0.2) - 0.5 * np.linalg.slogdet(J @ J.T + 1e-6 * np.eye(3))[1], atol=1e-8)
+        for value, expected in zip(lowered(0.0, {"q": q.astype(np.float32)}), (e, slope), strict=False):
+            assert np.allclose(value, expected, rtol=1e-4, atol=1e-4)
 
 
 def test_operational_space_and_computed_torque() -> None:
