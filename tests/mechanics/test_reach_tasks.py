@@ -160,7 +160,7 @@ def test_what_cannot_be_asked_for(unchecked: None) -> None:
     wrong: list[tuple[Any, str]] = [
         ({"tasks": [FrameTask("joint1")]}, "none for 'joint1_pose'"),
         ({"tasks": ["joint1"]}, "reach expects tasks"),
-        ({"secondary": PostureTask(np.zeros(2))}, "reach expects a list of tasks"),
+        ({"secondary": PostureTask(np.zeros(2))}, "reach: secondary expects a list of tasks"),
         ({"secondary": [MomentumTask(np.ones(6))]}, "errors depend on positions, got MomentumTask"),
         ({"constraints": [arm.q[0] == 0.0]}, "expects inequalities as constraints"),
         ({"constraints": [tx.Time() <= 0.0]}, "expects expressions of positions"),
