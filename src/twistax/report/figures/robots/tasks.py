@@ -113,7 +113,7 @@ def _pink() -> tuple[float, float]:
 @functools.cache
 def _mink() -> tuple[float, float]:
     mink, mujoco = needed("mink"), needed("mujoco")
-    text = _panda().to_mjcf(leave_out=["speed", "frames", "shapes"])
+    text = _panda().to_mjcf(leave_out=["speed", "frames", "shapes", "collision"])
     model, tip = mujoco.MjModel.from_xml_string(text), "panda_link7"
     T = [mink.Configuration(model, q).get_transform_frame_to_world(tip, "body") for q in _poses()[0][:_FEW]]
 
