@@ -317,8 +317,10 @@ def kernels_of(solids: dict[str, Any], obstacles: dict[str, Any]) -> int:
 
     pairs = clearances(floating(solids), solids, obstacles)
     jax.monitoring.register_event_duration_secs_listener(listen)
-    evaluated(pairs, {f"{name}_position": np.eye(4) for name in solids})
-    jax.monitoring.unregister_event_duration_listener(listen)
+    try:
+        evaluated(pairs, {f"{name}_position": np.eye(4) for name in solids})
+    finally:
+        jax.monitoring.unregister_event_duration_listener(listen)
     return made.count("/twistax/kernel")
 
 

@@ -23,8 +23,9 @@ class DistanceGrid:
 
     Outside of the grid, at a distance r from the nearest point of its border, where the value is $\phi$, the value is
     $\sqrt{\phi^2 + r^2}$ if $\phi \ge 0$, and otherwise $\phi + r$. It is continuous and increases with r, so that
-    an optimiser that starts there has a gradient. If $\phi \ge 0$, it is a lower bound of the distance to a solid that
-    is within the grid, because the grid is convex.
+    an optimiser that starts there has a gradient. The gradient is discontinuous at the border. If $\phi \ge 0$,
+    it is a lower bound of the distance to a solid within the grid, up to the error of the interpolation, because the
+    grid is convex.
 
     Attributes:
         axes: three arrays of coordinates, increasing, m, in the frame of the grid.

@@ -180,8 +180,8 @@ def _core(owner: str, solid: Solid) -> Rounded | ConvexPolytope | Cylinder:
 
 
 def _prefers_search(a: Rounded | ConvexPolytope, b: Rounded | ConvexPolytope) -> bool:
-    """Whether the search of a table is faster than a formula: of a polytope there is none, and that of two boxes has a
-    thousand operations.
+    """Whether a pair uses the search of a table. Polytopes have no formula, and that of two boxes has a thousand
+    operations; for a box and a capsule or a ball the formula is faster.
     """
     if isinstance(a, ConvexPolytope) or isinstance(b, ConvexPolytope):
         return True

@@ -63,8 +63,8 @@ def load(
     Raises: ModelError with file, line and element.
 
     Example:
+        `arm = tx.mechanics.load("panda.urdf")`; `dynamics = tx.compile(arm.system())`.
         `load("robots/arm/scene.xml", within="robots")` reads a scene that includes `../parts/gripper.xml`.
-    Example: `arm = tx.mechanics.load("panda.urdf")`; `dynamics = tx.compile(arm.system())`.
     """
     path, notes = path_of("load: path", path), list[str]()
     root = read_xml(path, notes=notes)

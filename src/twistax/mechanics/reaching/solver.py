@@ -222,7 +222,7 @@ class SeededSearch:
             lambda: self._curvature(s.x, at, d, e, J),
             lambda: jnp.where(restarted, jnp.zeros_like(S), S),
         )
-        return state, after_step._replace(curvature=curvature)
+        return state, Linearised(after_step.e, after_step.J, curvature)
 
     def _step(self, s: ReachState, at: Linearised, free: jax.Array) -> jax.Array:
         mu = s.damping * jnp.sum(at.e * at.e) + np.finfo(at.e.dtype).eps * jnp.sum(at.J * at.J)
