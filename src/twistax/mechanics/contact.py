@@ -12,16 +12,16 @@ from __future__ import annotations
 import dataclasses
 import functools
 import operator
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import callable_with, number, short
+from ..checks import callable_with, name_list, number, short
 from ..errors import ModelError
-from ..expr import Concat, Constant, Constraint, Control, Cross, Dot, Expr, Max, Min, Norm, Sqrt, State, to_expr
+from ..expr import Concat, Constant, Constraint, Control, Cross, Dot, Expr, Max, Min, Norm, Outer, Sqrt, State, to_expr
 from ..expr.fields import ExprLike
 from ..expr.functions.function import Function
 from ..expr.graph import other_leaves
@@ -31,10 +31,12 @@ from ..view import Capsule, Sphere
 from .algorithms.dynamics import checked
 from .algorithms.jacobians import ALIGNED, frame_twist
 from .algorithms.momentum import total_mass
+from .arguments import constant
 from .distances.solids import rounded
 from .kinematic_tree import KinematicTree, Positions
 
-_ZERO = Constant(np.zeros(3))
+_POSITIVE: Any = ("a positive number", lambda a: 0.0 < a < np.inf)
+_NOT_NEGATIVE: Any = ("a number not below zero", lambda a: 0.0 <= a < np.inf)
 
 #: Half of the width of the rounded corner between stiction and sliding, as a share of the limit of friction.
 _ROUNDED = 0.02
@@ -57,23 +59,23 @@ class GivenForces:
     at_rest: dict[str, Constraint]
 
 
-def given_forces(mechanism: KinematicTree, frames: Collection[str], friction: float) -> GivenForces:
+def given_forces(mechanism: KinematicTree, frames: Collection[str], friction: ExprLike) -> GivenForces:
     """Contact forces at frames that touch the ground, as controls, with the friction cones and no-slip constraints.
 
     Args:
         mechanism: a tree or a chain.
         frames: names of the frames; the contact points are their origins.
-        friction: the friction coefficient mu, not negative.
-    Raises: ModelError: an unknown frame; a friction that is not a number, or negative.
+        friction: the friction coefficient mu, not negative: a number, or a scalar expression such as a Parameter.
+    Raises: ModelError: an unknown frame; a friction that is neither a number nor a scalar expression, or negative.
     """
     checked("given_forces", mechanism)
-    mu = float(number("given_forces: friction", friction, "a number not below zero", lambda m: m >= 0.0, ModelError))
+    _amount("given_forces: friction", friction, *_NOT_NEGATIVE)
     contact = GivenForces({}, {}, {}, {})
-    for name in [frames] if isinstance(frames, str) else frames:
-        f = contact.controls[name] = Control(f"force_{name}", (3,))
-        contact.wrenches[name] = _at_origin(mechanism, name, None, f)
-        contact.cones[f"friction of {name}"] = Norm(f[:2]) <= mu * f[2]
-        contact.at_rest[f"rest of {name}"] = frame_twist(mechanism, name, axes=ALIGNED)[:3] == np.zeros(3)
+    for name in name_list("given_forces: frames", frames, ModelError):
+        f, velocity = Control(f"force_{name}", (3,)), frame_twist(mechanism, name, axes=ALIGNED)[:3]
+        contact.controls[name], contact.wrenches[name] = f, _Point(mechanism.pose(name), None, velocity).wrench(f)
+        contact.cones[f"friction of {name}"] = Norm(f[:2]) <= friction * f[2]
+        contact.at_rest[f"rest of {name}"] = velocity == np.zeros(3)
     return contact
 
 
@@ -115,43 +117,39 @@ class Ground:
     Example: `robot.system(wrenches=Ground(stiffness=2e4, friction=0.8).wrenches(robot, ["foot"]))`.
     """
 
-    stiffness: float = 2e4
-    damping: float = 0.5
-    friction: float = 0.8
+    stiffness: ExprLike = 2e4
+    damping: ExprLike = 0.5
+    friction: ExprLike = 0.8
     height: Any = 0.0
-    sharpness: float = 1e-4
-    slip: float = 0.01
+    sharpness: ExprLike = 1e-4
+    slip: ExprLike = 0.01
 
     def __post_init__(self) -> None:
         for name in ("stiffness", "sharpness", "slip"):
-            number(f"Ground: {name}", getattr(self, name), "a positive number", lambda a: 0.0 < a < np.inf, ModelError)
+            _amount(f"Ground: {name}", getattr(self, name), *_POSITIVE)
         for name in ("damping", "friction"):
-            value = getattr(self, name)
-            number(f"Ground: {name}", value, "a number not below zero", lambda a: 0.0 <= a < np.inf, ModelError)
+            _amount(f"Ground: {name}", getattr(self, name), *_NOT_NEGATIVE)
         if callable(self.height):
             callable_with("Ground: height", self.height, ["x", "y"], ModelError)
         else:
-            number("Ground: height", self.height, error=ModelError)
+            _amount("Ground: height", self.height, "a number", lambda a: True)
+            constant("Ground", "height", to_expr(self.height))
 
     def force(self, place: Expr, velocity: Expr) -> Expr:
         """The force (3,), N, on a point at `place` (3,) with the velocity `velocity` (3,), in the axes of the base."""
-        if not callable(self.height):
-            normal, v = self.normal(place, velocity), velocity[:2]
-            friction = (-self.friction) * normal * v / Sqrt(Dot(v, v) + self.slip**2)
-            return Concat(friction, normal)
-        up, normal = self.upward(place), self.normal(place, velocity)
-        v = velocity - Dot(velocity, up) * up
-        return normal * (up - self.friction * v / Sqrt(Dot(v, v) + self.slip**2))
+        depth, up = self._surface(place)
+        normal, across = self._normal(depth, up, velocity), _across(up)
+        v = across @ velocity
+        return normal * (up - across.T @ (self.friction * v / Sqrt(Dot(v, v) + self.slip**2)))
 
     def upward(self, place: Expr) -> Expr:
         """The unit normal (3,) of the ground above or below a place (3,), in the axes of the base."""
-        if not callable(self.height):
-            return Constant(np.array([0.0, 0.0, 1.0]))
-        slope = self._field(place)[1:]
-        return Concat(-slope, 1.0) / Sqrt(1.0 + Dot(slope, slope))
+        return self._surface(place)[1]
 
-    def _field(self, place: Expr) -> Expr:
-        """The height of the ground at a place (3,), and its slopes along x and y: (3,)."""
+    def _surface(self, place: Expr) -> tuple[Expr, Expr]:
+        """The depth d () of a place (3,) below the tangent plane of the ground there, and its unit normal (3,)."""
+        if not callable(self.height):
+            return self.height - place[2], Constant(np.array([0.0, 0.0, 1.0]))
         xy = State("xy", (2,))
         surface = to_expr(self.height(xy[0], xy[1]))
         inputs = [leaf for leaf in other_leaves(surface, [xy]) if not isinstance(leaf, Constant)]
@@ -159,12 +157,15 @@ class Ground:
             raise ModelError(f"Ground: height expects a scalar expression of x and y alone, got {short(surface)}")
         height = lower(surface)
         at = jax.value_and_grad(lambda p: height(0.0, {"xy": p}))
-        return Function(lambda p: jnp.concatenate([jnp.ravel(v) for v in at(p)]), (3,), name="ground")(place[:2])
+        field = Function(lambda p: jnp.concatenate([jnp.ravel(v) for v in at(p)]), (3,), name="ground")(place[:2])
+        slope = field[1:]
+        up = Concat(-slope, 1.0) / Sqrt(1.0 + Dot(slope, slope))
+        return (field[0] - place[2]) * up[2], up
 
     def bristles(
         self,
         mechanism: KinematicTree,
-        frames: Collection[str],
+        frames: Collection[str] | Mapping[str, Sphere | Capsule],
         deflection: float = 1e-3,
         damping: float = 20.0,
         load: float | None = None,
@@ -210,41 +211,43 @@ class Ground:
             grip = Ground(friction=0.5).bristles(walker, ["foot"])
             standing = walker.system(controls=[], rates=grip.rates, wrenches=grip.wrenches)
         """
-        names = [frames] if isinstance(frames, str) else frames
         for what, value in (("deflection", deflection), ("damping", damping), ("load", 1.0 if load is None else load)):
-            number(f"Ground.bristles: {what}", value, "a positive number", lambda a: 0.0 < a < np.inf, ModelError)
-        if isinstance(frames, Mapping):
-            raise ModelError("Ground.bristles expects names of frames, got a dict of shapes.\n  fix: use wrenches")
-        if callable(self.height):
-            raise ModelError("Ground.bristles expects a level ground, got a height field.\n  fix: use wrenches")
-        if not self.friction:
+            number(f"Ground.bristles: {what}", value, *_POSITIVE, ModelError)
+        friction = constant("Ground.bristles", "friction", to_expr(self.friction))
+        if isinstance(friction, Constant) and not friction.value:
             raise ModelError("Ground.bristles expects a ground with friction, got friction=0.0.\n  fix: use wrenches")
         gravity = checked("Ground.bristles", mechanism).gravity
         if load is None and isinstance(gravity, Constant) and not gravity.value.any():
             raise ModelError("Ground.bristles expects gravity or a load, got neither.\n  fix: pass load=, N")
-        share = total_mass(mechanism) * Norm(gravity) / max(len(names), 1) if load is None else to_expr(float(load))
-        k, c = self.friction * share / deflection, self.friction * share * damping
+        shapes = _shapes("Ground.bristles", frames)
+        points = {name: list(self._points("Ground.bristles", mechanism, name, s)) for name, s in shapes.items()}
+        count = max(sum(map(len, points.values())), 1)
+        share = total_mass(mechanism) * Norm(gravity) / count if load is None else to_expr(float(load))
+        k, c = friction * share / deflection, friction * share * damping
         result = Bristles({}, {})
-        for name in names:
-            velocity = frame_twist(mechanism, name, axes=ALIGNED)[:3]
-            z, v = State(f"bristle_{name}", (2,)), velocity[:2]
-            normal, y = self.normal(mechanism.pose(name)[:3, 3], velocity), k * z + c * v
-            # A part of the load keeps the limit positive where the normal force rounds to zero.
-            stuck = _stuck(y, self.friction * (normal + 1e-9 * share))
-            result.rates[z] = stuck * v - (1.0 - stuck) * z / (damping * deflection)
-            result.wrenches[name] = _at_origin(mechanism, name, None, Concat(-stuck * y, normal))
+        for name, touching in points.items():
+            state, rates, wrenches = State(f"bristle_{name}", (2 * len(touching),)), [], []
+            for i, point in enumerate(touching):
+                depth, up = self._surface(point.place)
+                across, normal = _across(up), self._normal(depth, up, point.velocity)
+                z, v = state[2 * i : 2 * i + 2], across @ point.velocity
+                y = k * z + c * v
+                # A part of the load keeps the limit positive where the normal force rounds to zero.
+                stuck = _stuck(y, friction * (normal + 1e-9 * share))
+                rates.append(stuck * v - (1.0 - stuck) * z / (damping * deflection))
+                wrenches.append(point.wrench(normal * up + across.T @ (-stuck * y)))
+            result.rates[state] = Concat(*rates)
+            result.wrenches[name] = functools.reduce(operator.add, wrenches)
         return result
 
     def normal(self, place: Expr, velocity: Expr) -> Expr:
         """The normal force n (), N, on a point at `place` (3,) with the velocity `velocity` (3,), in the axes of the
         base.
         """
-        if callable(self.height):
-            up = self.upward(place)
-            depth, penetration_rate = (self._field(place)[0] - place[2]) * up[2], -Dot(velocity, up)
-        else:
-            depth, penetration_rate = self.height - place[2], -velocity[2]
-        damping_factor = _positive(1.0 + self.damping * penetration_rate, 1e-3)
+        return self._normal(*self._surface(place), velocity)
+
+    def _normal(self, depth: Expr, up: Expr, velocity: Expr) -> Expr:
+        damping_factor = _positive(1.0 - self.damping * Dot(velocity, up), 1e-3)
         return self.stiffness * _positive(depth, self.sharpness) * damping_factor
 
     def wrenches(
@@ -266,31 +269,86 @@ class Ground:
             shape.
         """
         wrenches: dict[str, Expr] = {}
-        for name in [frames] if isinstance(frames, str) else frames:
-            twist = frame_twist(mechanism, name, q, qd, axes=ALIGNED)
-            if not isinstance(frames, Mapping):
-                f = self.force(mechanism.pose(name, q)[:3, 3], twist[:3])
-                wrenches[name] = _at_origin(mechanism, name, q, f)
-                continue
-            if not isinstance(frames[name], (Sphere, Capsule)):
-                raise ModelError(f"Ground.wrenches expects a Sphere or a Capsule, got {short(frames[name])}")
-            ball, T = rounded("Ground.wrenches", frames[name]), mechanism.pose(name, q)
-            forces = []
-            for centre in ball.corners @ ball.at[:3, :3].T + ball.at[:3, 3]:
-                arm = T[:3, :3] @ centre
-                middle = T[:3, 3] + arm
-                # At the normal of the ground at its contact point: at that of its centre f would turn it.
-                lowest = middle - ball.radius * self.upward(middle)
-                arm = arm - ball.radius * self.upward(lowest)
-                f = self.force(T[:3, 3] + arm, twist[:3] + Cross(twist[3:], arm))
-                forces.append(Concat(T[:3, :3].T @ f, T[:3, :3].T @ Cross(arm, f)))
-            wrenches[name] = functools.reduce(operator.add, forces)
+        for name, shape in _shapes("Ground.wrenches", frames).items():
+            points = self._points("Ground.wrenches", mechanism, name, shape, q, qd)
+            wrenches[name] = functools.reduce(
+                operator.add, [point.wrench(self.force(point.place, point.velocity)) for point in points]
+            )
         return wrenches
 
+    def _points(
+        self,
+        owner: str,
+        mechanism: KinematicTree,
+        name: str,
+        shape: Sphere | Capsule | None,
+        q: Positions | None = None,
+        qd: ExprLike | None = None,
+    ) -> Iterator[_Point]:
+        """The points of a frame that touch the ground."""
+        twist, T = frame_twist(mechanism, name, q, qd, axes=ALIGNED), mechanism.pose(name, q)
+        if shape is None:
+            yield _Point(T, None, twist[:3])
+            return
+        if not isinstance(shape, (Sphere, Capsule)):
+            raise ModelError(f"{owner} expects a Sphere or a Capsule, got {short(shape)}")
+        ball = rounded(owner, shape)
+        for centre in ball.corners @ ball.at[:3, :3].T + ball.at[:3, 3]:
+            arm = T[:3, :3] @ centre
+            middle = T[:3, 3] + arm
+            # At the normal of the ground at its contact point: at that of its centre f would turn it.
+            lowest = middle - ball.radius * self.upward(middle)
+            arm = arm - ball.radius * self.upward(lowest)
+            yield _Point(T, arm, twist[:3] + Cross(twist[3:], arm))
 
-def _at_origin(mechanism: KinematicTree, name: str, q: Positions | None, f: Expr) -> Expr:
-    """The wrench (6,), in the axes of a frame, of a force (3,) at its origin that is given in the base's axes."""
-    return wrench(force=mechanism.pose(name, q)[:3, :3].T @ f, torque=_ZERO)
+
+@dataclasses.dataclass(frozen=True)
+class _Point:
+    """A point of a frame that touches the ground, in the axes of the base.
+
+    Attributes:
+        T: the pose (4, 4) of the frame.
+        arm: the point (3,) from the origin of the frame; None for the origin.
+        velocity: (3,).
+    """
+
+    T: Expr
+    arm: Expr | None
+    velocity: Expr
+
+    @property
+    def place(self) -> Expr:
+        """The position (3,) in the base."""
+        origin = self.T[:3, 3]
+        return origin if self.arm is None else origin + self.arm
+
+    def wrench(self, f: Expr) -> Expr:
+        """The wrench (6,), in the axes of the frame, of a force (3,) at the point."""
+        R = self.T[:3, :3]
+        return wrench(force=R.T @ f, torque=np.zeros(3) if self.arm is None else R.T @ Cross(self.arm, f))
+
+
+def _shapes(owner: str, frames: Any) -> Mapping[str, Any]:
+    """The shape of each frame that touches the ground; None for its origin."""
+    return frames if isinstance(frames, Mapping) else dict.fromkeys(name_list(f"{owner}: frames", frames, ModelError))
+
+
+def _amount(place: str, value: Any, what: str, holds: Any) -> None:
+    """Raise ModelError unless the value is a number that satisfies a condition, or a scalar expression."""
+    if not isinstance(value, Expr):
+        number(place, value, what, holds, ModelError)
+    elif value.check_shape() != ():
+        raise ModelError(f"{place} expects a number or a scalar expression, got the shape {value.shape}")
+
+
+def _across(up: Expr) -> Expr:
+    """Two orthonormal tangents (2, 3) of the ground with the normal n: the axes x and y after the smallest rotation
+    from z to n.
+    """
+    if isinstance(up, Constant):
+        return Constant(np.eye(3)[:2])
+    share = 1.0 / (1.0 + up[2])
+    return np.eye(3)[:2] - Outer(up[:2], Concat(up[:2] * share, 1.0))
 
 
 def _positive(a: Expr, width: float) -> Expr:
