@@ -193,7 +193,7 @@ BAD: list[Any] = [
     (lambda: Contact(z, N, 0.5), ModelError, "expects a tx.trajectory.Friction"),
     (lambda: Contact(z, N, relaxation=0.0), ModelError, "relaxation must be a positive number, got 0.0"),
     (lambda: Friction(-0.1, force=f, velocity=v), ModelError, "coefficient must be a number not below zero"),
-    (lambda: Friction(0.1, force=f, velocity=tx.State("w", (2,))), ShapeError, r"got \(\), \(\), \(2,\)"),
+    (lambda: Friction(0.1, force=f, velocity=tx.State("w", (2,))), ShapeError, r"got \(\) and \(2,\)"),
 ]
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import listed, short
+from ..checks import listed, number, short
 from ..errors import ModelError, ShapeError
 from ..expr import Constant, Expr, Parameter, canonicalize_all, to_expr
 from ..expr.fields import ExprLike
@@ -42,6 +43,33 @@ def of_shape(
     if expr.shape != shape:
         raise ShapeError(f"{owner} expects {name} with shape {shape}, got {expr.shape}", hint=hint)
     return expr
+
+
+def scalar(
+    owner: str,
+    name: str,
+    value: ExprLike,
+    what: str = "a finite number",
+    holds: Callable[[float], Any] = np.isfinite,
+) -> Expr:
+    """The argument `name` of `owner`, a number or a scalar expression.
+
+    Raises:
+        ModelError: it is neither, or a condition; or its value, with the default values of Parameters, does not satisfy
+            `holds`, which `what` describes.
+        ShapeError: it is not a scalar.
+    """
+    place = f"{owner}: {name}"
+    if not isinstance(value, Expr):
+        return to_expr(number(place, value, what, holds, ModelError))
+    if value.check_shape() != ():
+        raise ShapeError(f"{owner} expects a scalar {name}, got shape {value.shape}", at=repr(value))
+    if value.boolean:
+        raise ModelError(f"{place} must be {what}, got the condition {value!r}")
+    known = known_value(value)
+    if known is not None:
+        number(place, float(known), what, holds, ModelError)
+    return value
 
 
 def finite(owner: str, name: str, value: Expr) -> Expr:

@@ -31,7 +31,7 @@ from ..view import Capsule, Sphere
 from .algorithms.dynamics import checked
 from .algorithms.jacobians import ALIGNED, frame_twist
 from .algorithms.momentum import total_mass
-from .arguments import constant
+from .arguments import constant, of_shape, scalar
 from .distances.solids import rounded
 from .kinematic_tree import KinematicTree, Positions
 
@@ -69,7 +69,7 @@ def given_forces(mechanism: KinematicTree, frames: Collection[str], friction: Ex
     Raises: ModelError: an unknown frame; a friction that is neither a number nor a scalar expression, or negative.
     """
     checked("given_forces", mechanism)
-    _amount("given_forces: friction", friction, *_NOT_NEGATIVE)
+    scalar("given_forces", "friction", friction, *_NOT_NEGATIVE)
     contact = GivenForces({}, {}, {}, {})
     for name in name_list("given_forces: frames", frames, ModelError):
         f, velocity = Control(f"force_{name}", (3,)), frame_twist(mechanism, name, axes=ALIGNED)[:3]
@@ -126,17 +126,17 @@ class Ground:
 
     def __post_init__(self) -> None:
         for name in ("stiffness", "sharpness", "slip"):
-            _amount(f"Ground: {name}", getattr(self, name), *_POSITIVE)
+            scalar("Ground", name, getattr(self, name), *_POSITIVE)
         for name in ("damping", "friction"):
-            _amount(f"Ground: {name}", getattr(self, name), *_NOT_NEGATIVE)
+            scalar("Ground", name, getattr(self, name), *_NOT_NEGATIVE)
         if callable(self.height):
             callable_with("Ground: height", self.height, ["x", "y"], ModelError)
         else:
-            _amount("Ground: height", self.height, "a number", lambda a: True)
-            constant("Ground", "height", to_expr(self.height))
+            constant("Ground", "height", scalar("Ground", "height", self.height))
 
     def force(self, place: Expr, velocity: Expr) -> Expr:
         """The force (3,), N, on a point at `place` (3,) with the velocity `velocity` (3,), in the axes of the base."""
+        velocity = of_shape("Ground.force", "velocity", velocity, (3,))
         depth, up = self._surface(place)
         normal, across = self._normal(depth, up, velocity), _across(up)
         v = across @ velocity
@@ -148,12 +148,13 @@ class Ground:
 
     def _surface(self, place: Expr) -> tuple[Expr, Expr]:
         """The depth d () of a place (3,) below the tangent plane of the ground there, and its unit normal (3,)."""
+        place = of_shape("Ground", "place", place, (3,))
         if not callable(self.height):
             return self.height - place[2], Constant(np.array([0.0, 0.0, 1.0]))
         xy = State("xy", (2,))
-        surface = to_expr(self.height(xy[0], xy[1]))
+        surface = of_shape("Ground: height", "a scalar expression", self.height(xy[0], xy[1]), ())
         inputs = [leaf for leaf in other_leaves(surface, [xy]) if not isinstance(leaf, Constant)]
-        if surface.check_shape() != () or inputs:
+        if surface.boolean or inputs:
             raise ModelError(f"Ground: height expects a scalar expression of x and y alone, got {short(surface)}")
         height = lower(surface)
         at = jax.value_and_grad(lambda p: height(0.0, {"xy": p}))
@@ -244,7 +245,7 @@ class Ground:
         """The normal force n (), N, on a point at `place` (3,) with the velocity `velocity` (3,), in the axes of the
         base.
         """
-        return self._normal(*self._surface(place), velocity)
+        return self._normal(*self._surface(place), of_shape("Ground.normal", "velocity", velocity, (3,)))
 
     def _normal(self, depth: Expr, up: Expr, velocity: Expr) -> Expr:
         damping_factor = _positive(1.0 - self.damping * Dot(velocity, up), 1e-3)
@@ -331,14 +332,6 @@ class _Point:
 def _shapes(owner: str, frames: Any) -> Mapping[str, Any]:
     """The shape of each frame that touches the ground; None for its origin."""
     return frames if isinstance(frames, Mapping) else dict.fromkeys(name_list(f"{owner}: frames", frames, ModelError))
-
-
-def _amount(place: str, value: Any, what: str, holds: Any) -> None:
-    """Raise ModelError unless the value is a number that satisfies a condition, or a scalar expression."""
-    if not isinstance(value, Expr):
-        number(place, value, what, holds, ModelError)
-    elif value.check_shape() != ():
-        raise ModelError(f"{place} expects a number or a scalar expression, got the shape {value.shape}")
 
 
 def _across(up: Expr) -> Expr:

@@ -12,6 +12,7 @@ from ...checks import number, short
 from ...errors import ModelError, ShapeError
 from ...expr import Abs, Constant, Control, Expr, Norm, Parameter, State, to_expr
 from ...expr.operations.comparisons import Complementarity, ConstraintSet
+from ...mechanics.arguments import scalar
 
 #: Directions of slip in the contact plane; the largest component of the velocity along these approximates the speed.
 _DIRECTIONS = 8
@@ -47,22 +48,15 @@ class Friction:
     velocity: Expr
 
     def __init__(self, coefficient: Any, *, force: Any, velocity: Any) -> None:
-        if not isinstance(coefficient, Expr):
-            number(
-                "Friction: coefficient",
-                coefficient,
-                "a number not below zero",
-                lambda m: 0.0 <= m < math.inf,
-                ModelError,
-            )
-        for name, value in (("coefficient", coefficient), ("force", force), ("velocity", velocity)):
+        mu = scalar("Friction", "coefficient", coefficient, "a number not below zero", lambda m: 0.0 <= m < math.inf)
+        object.__setattr__(self, "coefficient", mu)
+        for name, value in (("force", force), ("velocity", velocity)):
             object.__setattr__(self, name, to_expr(value))
         shape = self.force.check_shape()
-        if shape not in ((), (2,)) or self.velocity.check_shape() != shape or self.coefficient.check_shape() != ():
-            shapes = ", ".join(str(e.shape) for e in (self.coefficient, self.force, self.velocity))
+        if shape not in ((), (2,)) or self.velocity.check_shape() != shape:
             raise ShapeError(
-                "Friction expects a coefficient (), and a force and a velocity that are both () in a plane or (2,) in "
-                f"space, got {shapes}"
+                "Friction expects a force and a velocity that are both () in a plane or (2,) in space, got "
+                f"{shape} and {self.velocity.shape}"
             )
 
     def named(self, normal: Expr, relaxation: Parameter) -> dict[str, Any]:
@@ -118,10 +112,7 @@ class Contact(ConstraintSet):
 
     def __init__(self, gap: Any, force: Any, friction: Any = None, *, relaxation: Any = 1e-6) -> None:
         for name, value in (("gap", gap), ("force", force)):
-            expr = to_expr(value)
-            if expr.check_shape() != ():
-                raise ShapeError(f"Contact expects a scalar {name}, got shape {expr.shape}", at=repr(expr))
-            object.__setattr__(self, name, expr)
+            object.__setattr__(self, name, scalar("Contact", name, value))
         if friction is not None and not isinstance(friction, Friction):
             raise ModelError(f"Contact expects a tx.trajectory.Friction as friction, got {short(friction)}")
         if not isinstance(relaxation, Parameter):

@@ -21,7 +21,7 @@ from ...solver.prepared import LOST, PreparedSolve
 from ...system.export import CFiles
 from ..result.trajectory import Trajectory, trajectory_at
 from ..strategy.measure import COST
-from ..strategy.status import Status
+from ..strategy.status import AT_OPTIMUM, Status
 from ..strategy.warm import warm_start, with_ends
 from .export import MEMORY, write_controller
 from .first_node import FirstNode
@@ -30,7 +30,7 @@ from .in_programs import in_order
 from .log import ControllerLog, StepRecord
 from .plan_controls import FirstControls, plan_controls
 from .plan_units import BARRIER_LEAST, BARRIER_MOST, BARRIER_SHARE, PlanUnits
-from .prepared_data import PreparedData
+from .prepared_data import PreparedData, load
 from .requirements import need_controllable, why_not_shiftable
 from .shift import Shift
 
@@ -122,7 +122,7 @@ class Controller:
             self.prepared = PreparedSolve(
                 staged.transcription, self.units, solver.largest_step, bounds, Options(**options)
             )
-            self._load(start)
+            load(self.prepared, staged, start)
         by_phase = [plan_controls(staged, k, part) for k, part in enumerate(problem.parts)]
         self.first_node, self.first_controls = FirstNode(staged, self.part.phase.dynamics), FirstControls(by_phase[0])
         self.data = PreparedData(problem, staged, self.prepared, by_phase, instance)
@@ -142,15 +142,6 @@ class Controller:
         self.data.load(state["data"])
         self._gains = Gains(self.prepared, self.staged, self.units)
         self.log, self.status = state["log"], state["status"]
-
-    def _load(self, start: Any) -> None:
-        """Write a warm start into the memory of the solver."""
-        solve, staged = self.prepared, self.staged
-        solve.z[:] = z = staged.flat(start.point)
-        solve.v[:] = staged.coordinates(z)
-        solve.lam[:] = staged.unpadded(start.dynamics)
-        solve.y[:], solve.ye[:], solve.zl[:], solve.zu[:] = staged.split_rows(np.asarray(start.rows))
-        solve.s[:] = 0.0  # the residuals of its rows
 
     def __repr__(self) -> str:
         nodes = sum(part.nodes for part in self.problem.parts)
@@ -335,6 +326,18 @@ class Controller:
     def ts(self) -> Array:
         """The times of the nodes, (nodes,), s, from now."""
         return self._plan.ts
+
+    @property
+    def message(self) -> str:
+        """A sentence on the last solve. After a failure it names the limits, and the constraints of states alone, that
+        the measured state violates; they apply to the nodes after it.
+        """
+        if self.status in (*AT_OPTIMUM, Status.NON_FINITE):
+            return f"{self.status}."
+        xs = self.staged.transcribed.segments[0].of(self.staged.point(self.prepared.z.copy())).xs
+        violated = self.part.violated_by_state({name: values[0] for name, values in xs.items()}, self.params)
+        named = ", ".join(f"{name!r} by {size:.3g}" for name, size in violated.items())
+        return f"{self.status}." + f" The measured state violates {named}." * bool(named)
 
     @property
     def params(self) -> Values:

@@ -134,3 +134,12 @@ class PreparedData:
             raise InputError(f"limits[{name!r}] expects low <= high, got {short(low)} and {short(high)}")
         for bound, side in ((self._solve.lower, low), (self._solve.upper, high)):
             bound[columns] = np.broadcast_to(side, every).reshape(len(columns), -1)
+
+
+def load(solve: PreparedSolve, staged: Staged, start: Any) -> None:
+    """Write a warm start into the memory of the solver."""
+    solve.z[:] = z = staged.flat(start.point)
+    solve.v[:] = staged.coordinates(z)
+    solve.lam[:] = staged.unpadded(start.dynamics)
+    solve.y[:], solve.ye[:], solve.zl[:], solve.zu[:] = staged.split_rows(np.asarray(start.rows))
+    solve.s[:] = 0.0  # the residuals of its rows

@@ -30,7 +30,7 @@ from .conditions import Conditions, Ends, at_nodes, conditions, ends_of, split, 
 from .controls import continuous_controls
 from .guess import control_guess, state_guess, user_guess
 from .phase import Phase
-from .statement import Objective, check_leaves, check_limits, describe_path
+from .statement import Objective, Reads, check_leaves, check_limits, describe_path, largest_by_name, violations
 
 
 class StatedPhase:
@@ -206,6 +206,19 @@ class StatedPhase:
         """(points, rows) the path constraints in the solver's form, at many points."""
         local = self.shooting.local
         return local.along(local.expressions.rows, ts, xs, us, params)
+
+    def violated_by_state(self, x: Mapping[str, Any], params: Mapping[str, Any]) -> dict[str, float]:
+        """The limits and constraints that a state alone violates, except soft ones: name -> violation in its unit."""
+        local, path = self.shooting.local, self.path
+        controls = local.controls.split(np.zeros((1, local.controls.dimension)))
+        rows = self.shown_rows(np.zeros(1), {name: np.asarray(a)[None] for name, a in x.items()}, controls, params)
+        largest = largest_by_name(path.shown, violations(rows[0], path.shown_equality))
+        of_states = {
+            name
+            for name, reads, states in zip(path.names, path.reads, path.states)
+            if reads in (Reads.STATE, Reads.ENDS) and states.isdisjoint(self.continuous.smooth)
+        }
+        return {name: size for name, size in largest.items() if size > 0.0 and name in of_states - self.soft}
 
     # ---- what a solve starts from -----------------------------------------------------------------------------------
 
