@@ -93,11 +93,13 @@ def on_a_slope(friction: float) -> tx.Dynamics:
 def test_a_block_on_a_slope_rests_within_its_friction_cone_alone(friction: float) -> None:
     """By Coulomb's law: it stays where mu exceeds tan 20 degrees, else a = g (sin 20 - mu cos 20)."""
     sunk = 2.0 * 9.81 * np.cos(SLOPE) / 1e4
-    x0 = {"q": np.array([0.0, 0.0, -sunk]), "qd": np.zeros(3), "bristle_z": np.zeros(2)}
+    rests = friction > np.tan(SLOPE)
+    bend = np.zeros(2) if rests else np.array([1e-3 * np.cos(SLOPE), 0.0])  # where the slider moves from the start
+    x0 = {"q": np.array([0.0, 0.0, -sunk]), "qd": np.zeros(3), "bristle_z": bend}
     times = np.array([1.0, 1.5, 2.0])
     sol = tx.integrate(on_a_slope(friction), x0, t1=2.0, dt=2e-4, save_at=times)
     along, speed = np.asarray(sol.xs["q"])[:, 0], np.asarray(sol.xs["qd"])[:, 0]
-    if friction > np.tan(SLOPE):
+    if rests:
         # The bristle bends until it carries the weight, by d sin 20 / mu, and the block moves by no more than that.
         bent = 1e-3 * np.sin(SLOPE) / friction
         np.testing.assert_allclose(sol.xs["bristle_z"][-1], [bent, 0.0], rtol=1e-8, atol=1e-12)
@@ -105,22 +107,27 @@ def test_a_block_on_a_slope_rests_within_its_friction_cone_alone(friction: float
         np.testing.assert_allclose(speed[-1], 0.0, atol=1e-10)
     else:
         expected = 9.81 * (np.sin(SLOPE) - friction * np.cos(SLOPE))
-        np.testing.assert_allclose(np.diff(speed), 0.5 * expected, rtol=1e-6)
+        np.testing.assert_allclose(speed, expected * times, rtol=1e-5)
+        np.testing.assert_allclose(along, expected * times**2 / 2.0, rtol=1e-5)
 
 
-def test_bristles_store_or_dissipate_what_a_point_supplies_under_any_normal_force() -> None:
+@pytest.mark.parametrize(
+    "height", [0.0, lambda x, y: 0.3 * x + 0.2 * tx.Sin(3.0 * y) + 0.5 * x * y], ids=["level", "hills"]
+)
+def test_bristles_store_or_dissipate_what_a_point_supplies_under_any_normal_force(height: Any) -> None:
     """-f v = d/dt (k |z|^2 / 2) + c |z'|^2 + (power of the slider), the last two not negative, at random states."""
     mu, load, d, sigma = 0.5, 30.0, 2e-3, 15.0
     place = joints.Prismatic("z", np.eye(3)[2])
     links = [Link(joints.Prismatic(n, a), None, np.eye(4), parent=q) for n, a, q in zip("xy", np.eye(3), [None, "x"])]
     links.append(Link(place, SpatialInertia(mass=2.0, inertia=np.eye(3)), np.eye(4), parent="y"))
-    robot, ground = Mechanism(links), Ground(stiffness=1e4, damping=1.0, friction=mu)
+    robot, ground = Mechanism(links), Ground(stiffness=1e4, damping=1.0, friction=mu, height=height)
     grip = ground.bristles(robot, ["z"], deflection=d, damping=sigma, load=load)
     (z, rate), k, c = next(iter(grip.rates.items())), mu * load / d, mu * load * sigma
-    f, n = grip.wrenches["z"][:2], grip.wrenches["z"][2]
-    power = -(f @ robot.qd[:2]) - k * (z @ rate) - c * (rate @ rate)
-    slider = -(f @ (robot.qd[:2] - rate))
-    every = tx.lower(tx.Concat(power, slider, n, f))
+    place = robot.pose("z")[:3, 3]
+    n, up = ground.normal(place, robot.qd), ground.upward(place)
+    f = grip.wrenches["z"][:3] - n * up
+    slider = -(f @ robot.qd) - k * (z @ rate) - c * (rate @ rate)
+    every = tx.lower(tx.Concat(slider, tx.linalg.Norm(k * z + c * rate), f @ up, n, f))
     random, count = np.random.default_rng(0), 4000
     size = 10.0 ** random.uniform(-3.0, 1.0, (2, count, 1))
     x = {
@@ -128,13 +135,16 @@ def test_bristles_store_or_dissipate_what_a_point_supplies_under_any_normal_forc
         "qd": size[0] * random.normal(size=(count, 3)) * 0.1,
         "bristle_z": size[1] * random.normal(size=(count, 2)) * d,
     }
-    power, slider, n, *f = np.asarray(jax.jit(jax.vmap(lambda x: every(0.0, x)))(x)).T
-    friction = np.hypot(*f)
-    np.testing.assert_allclose(power, slider, rtol=1e-9, atol=1e-9 * np.abs(slider).max())
+    slider, size, across, n, *f = np.asarray(jax.jit(jax.vmap(lambda x: every(0.0, x)))(x)).T
+    friction = np.linalg.norm(f, axis=0)
+    np.testing.assert_allclose(friction, size, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(across, 0.0, atol=1e-9 * n.max())
     assert slider.min() >= -1e-12 * slider.max()
     assert friction.max() > 20.0
     assert (friction <= mu * n * (1.0 + 1e-9) + 1e-7).all()
     y = np.linalg.norm(k * x["bristle_z"] + c * x["qd"][:, :2], axis=1)
+    if callable(height):  # v is not along x and y
+        return
     for here, expected in ((y > 1.02 * mu * n + 1e-6, mu * n), (y < 0.98 * mu * n, y)):
         assert here.sum() > 200
         np.testing.assert_allclose(friction[here], expected[here], rtol=1e-6, atol=1e-6)
@@ -168,6 +178,13 @@ def test_a_block_on_its_edges_comes_to_rest_on_a_slope() -> None:
     [
         (lambda: Ground(stiffness=0.0), "Ground: stiffness must be a positive number, got 0.0"),
         (lambda: Ground(friction=-1.0), "Ground: friction must be a number not below zero"),
+        (lambda: Ground(friction=tx.Parameter("mu", value=-0.5)), "friction must be a number not below zero, got -0.5"),
+        (lambda: Ground(friction=tx.Parameter("mu") > 0.5), "friction must be a number not below zero, got the condit"),
+        (lambda: Ground(height=np.nan), "height must be a finite number, got nan"),
+        (lambda: Ground(height=tx.State("h")), "height to be constant during the motion"),
+        (lambda: Ground(friction=tx.State("mu")).bristles(block(), ["low"]), "friction to be constant during the mot"),
+        (lambda: GROUND.bristles(block(), {"low": cast(Any, tx.view.Box((0.1, 0.1, 0.1)))}), "a Sphere or a Capsule"),
+        (lambda: GROUND.wrenches(block(), cast(Any, [1])), "frames expects names"),
         (lambda: mechanics.given_forces(block(), ["low"], friction=-0.1), "friction must be a number not below zero"),
         (lambda: mechanics.given_forces(block(), ["foot"], friction=0.1), "no frame 'foot'"),
         (lambda: GROUND.wrenches(block(), ["foot"]), "no frame 'foot'"),
@@ -177,7 +194,7 @@ def test_a_block_on_its_edges_comes_to_rest_on_a_slope() -> None:
         (lambda: Ground(friction=0.0).bristles(block(), ["low"]), "a ground with friction"),
     ],
 )
-def test_what_makes_no_sense_is_refused(make: object, message: str) -> None:
+def test_what_makes_no_sense_is_refused(make: object, message: str, unchecked: None) -> None:
     with pytest.raises(tx.ModelError, match=message):
         make()  # type: ignore[operator]
 
@@ -193,6 +210,46 @@ def test_a_height_field_that_is_a_tilted_plane_pushes_along_its_normal() -> None
     found = np.asarray(evaluated(field.force(tx.Constant(p), tx.Constant(rate))))
     flat = np.asarray(evaluated(level.force(tx.Constant([0.0, 0.0, -0.01]), tx.Constant(R @ rate))))
     np.testing.assert_allclose(found, R.T @ flat, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "shape", [None, tx.view.Sphere(0.05), tx.view.Capsule(0.03, 0.1, at=(0.02, 0.0, 0.0))], ids=repr
+)
+def test_bristles_over_a_tilted_plane_are_those_over_level_ground_in_its_axes(shape: Any, unchecked: None) -> None:
+    robot, n = block(), np.array([-0.3, 0.2, 1.0]) / np.sqrt(1.13)
+    axis = np.cross([0.0, 0.0, 1.0], n)
+    R = np.asarray(tx.lie.so3.exp(axis * np.arcsin(np.linalg.norm(axis)) / np.linalg.norm(axis)))
+    frames = ["block"] if shape is None else {"block": shape}
+    heights: Any = (0.0, lambda x, y: 0.3 * x - 0.2 * y)
+    T = tx.pose(position=[0.01, 0.02, -0.002 if shape is None else 0.045], euler=[0.3, 0.2, -0.5])
+    turned, results = np.eye(4), []
+    turned[:3, :3] = R
+    for height, at in zip(heights, (T, turned @ T), strict=True):
+        grip = Ground(stiffness=1e4, friction=0.6, height=height).bristles(robot, frames)
+        (state, rate), (wrench,) = next(iter(grip.rates.items())), grip.wrenches.values()
+        x = {"block_position": at, "qd": np.array([0.3, -0.2, -0.1, 0.5, 0.1, -0.3])}
+        results.append(np.asarray(evaluated(tx.Concat(rate, wrench), x | {state.name: np.full(state.shape, 2e-4)})))
+    assert np.linalg.norm(results[0][-6:-3]) > 10.0
+    np.testing.assert_allclose(results[1], results[0], rtol=1e-9, atol=1e-9)
+
+
+def test_a_ball_rolls_with_five_sevenths_of_the_slope_for_each_friction() -> None:
+    """I = 2/5 m r^2: a = 5/7 g sin s while mu > 2/7 tan s, else a = g (sin s - mu cos s). One kernel for all mu."""
+    m, radius, mu = 2.0, 0.1, tx.Parameter("mu")
+    body = SpatialInertia(mass=m, inertia=0.4 * m * radius**2 * np.eye(3))
+    gravity = 9.81 * np.array([np.sin(SLOPE), 0.0, -np.cos(SLOPE)])
+    ball = Mechanism([Link(joints.Free("ball"), body, np.eye(4))], gravity=gravity)
+    grip = Ground(stiffness=1e5, damping=1.0, friction=mu).bristles(ball, {"ball": tx.view.Sphere(radius)}, 1e-5, 200.0)
+    rolling = tx.compile(ball.system(controls=[], rates=grip.rates, wrenches=grip.wrenches))
+    height = radius - m * 9.81 * np.cos(SLOPE) / 1e5
+    x0 = {"ball_position": tx.pose(position=[0.0, 0.0, height]), "qd": np.zeros(6), "bristle_ball": np.zeros(2)}
+
+    def path(friction: Any) -> Any:
+        return tx.integrate(rolling, x0, t1=0.5, dt=1e-4, params={"mu": friction}).last["ball_position"][0, 3]
+
+    found = np.asarray(jax.vmap(path)(np.array([0.05, 0.3])))
+    expected = 9.81 * np.array([np.sin(SLOPE) - 0.05 * np.cos(SLOPE), 5.0 / 7.0 * np.sin(SLOPE)])
+    np.testing.assert_allclose(found, expected * 0.5**2 / 2.0, rtol=2e-3)
 
 
 def test_balls_and_capsules_touch_the_ground_with_their_surface(unchecked: None) -> None:

@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import callable_with, name_list, number, short
+from ..checks import callable_with, name_list, number, reals, short
 from ..errors import ModelError
 from ..expr import Concat, Constant, Constraint, Control, Cross, Dot, Expr, Max, Min, Norm, Outer, Sqrt, State, to_expr
 from ..expr.fields import ExprLike
@@ -152,9 +152,10 @@ class Ground:
         if not callable(self.height):
             return self.height - place[2], Constant(np.array([0.0, 0.0, 1.0]))
         xy = State("xy", (2,))
-        surface = of_shape("Ground: height", "a scalar expression", self.height(xy[0], xy[1]), ())
+        value = self.height(xy[0], xy[1])
+        surface = value if isinstance(value, Expr) else to_expr(reals("Ground: height", value, ModelError))
         inputs = [leaf for leaf in other_leaves(surface, [xy]) if not isinstance(leaf, Constant)]
-        if surface.boolean or inputs:
+        if surface.check_shape() != () or surface.boolean or inputs:
             raise ModelError(f"Ground: height expects a scalar expression of x and y alone, got {short(surface)}")
         height = lower(surface)
         at = jax.value_and_grad(lambda p: height(0.0, {"xy": p}))
