@@ -1,5 +1,6 @@
 """A ground that gives way, and given forces at contacts."""
 
+import dataclasses
 import functools
 from typing import Any, cast
 
@@ -124,10 +125,10 @@ def test_bristles_store_or_dissipate_what_a_point_supplies_under_any_normal_forc
     grip = ground.bristles(robot, ["z"], deflection=d, damping=sigma, load=load)
     (z, rate), k, c = next(iter(grip.rates.items())), mu * load / d, mu * load * sigma
     place = robot.pose("z")[:3, 3]
-    n, up = ground.normal(place, robot.qd), ground.upward(place)
-    f = grip.wrenches["z"][:3] - n * up
+    normal = dataclasses.replace(ground, friction=0.0).force(place, robot.qd)
+    n, f = tx.linalg.Norm(normal), grip.wrenches["z"][:3] - normal
     slider = -(f @ robot.qd) - k * (z @ rate) - c * (rate @ rate)
-    every = tx.lower(tx.Concat(slider, tx.linalg.Norm(k * z + c * rate), f @ up, n, f))
+    every = tx.lower(tx.Concat(slider, tx.linalg.Norm(k * z + c * rate), f @ normal / n, n, f))
     random, count = np.random.default_rng(0), 4000
     size = 10.0 ** random.uniform(-3.0, 1.0, (2, count, 1))
     x = {
@@ -250,6 +251,26 @@ def test_a_ball_rolls_with_five_sevenths_of_the_slope_for_each_friction() -> Non
     found = np.asarray(jax.vmap(path)(np.array([0.05, 0.3])))
     expected = 9.81 * np.array([np.sin(SLOPE) - 0.05 * np.cos(SLOPE), 5.0 / 7.0 * np.sin(SLOPE)])
     np.testing.assert_allclose(found, expected * 0.5**2 / 2.0, rtol=2e-3)
+
+
+def test_the_normal_force_of_hills_has_a_potential() -> None:
+    """Without damping F = -dV/dp by differences, with the integral V of k s(d) for the depth d below the tangent plane."""
+    k, width = 1e3, 1e-3
+    hills = Ground(
+        stiffness=k, damping=0.0, friction=0.0, height=lambda x, y: tx.Sin(3.0 * x) * tx.Cos(2.0 * y), sharpness=width
+    )
+
+    def potential(p: np.ndarray) -> float:
+        sx, cx, sy, cy = np.sin(3.0 * p[0]), np.cos(3.0 * p[0]), np.sin(2.0 * p[1]), np.cos(2.0 * p[1])
+        d = (sx * cy - p[2]) / np.sqrt(1.0 + (3.0 * cx * cy) ** 2 + (2.0 * sx * sy) ** 2)
+        size = np.hypot(d, width)
+        return float(k * (d * d + d * size + width**2 * np.arcsinh(d / width)) / 4.0)
+
+    for p in ([0.3, 0.2, 0.7], [0.5, -0.4, 0.6], [-0.2, 1.0, 0.2]):
+        F = np.asarray(evaluated(hills.force(tx.Constant(np.array(p)), tx.Constant(np.zeros(3)))))
+        expected = [(potential(p - e) - potential(p + e)) / 2e-6 for e in 1e-6 * np.eye(3)]
+        assert np.linalg.norm(F) > 0.1
+        np.testing.assert_allclose(F, expected, rtol=1e-6, atol=1e-6)
 
 
 def test_balls_and_capsules_touch_the_ground_with_their_surface(unchecked: None) -> None:

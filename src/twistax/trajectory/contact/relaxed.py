@@ -94,6 +94,8 @@ def lowered(problem: Any, options: Any, solve: Callable[[Any], Any]) -> Any:
 
     value, ratio = _FIRST * size, _LOWER
     best = result = at(value, None)
+    if result.status is Status.INFEASIBLE and result.iterations <= 1:  # by the fixed initial and final values alone
+        return result
     while result.status in _GOING_ON and value > min(last.values()) and ratio < _LEAST:
         following = value * ratio
         result = at(following, best)
