@@ -254,7 +254,7 @@ def test_a_ball_rolls_with_five_sevenths_of_the_slope_for_each_friction() -> Non
 
 
 def test_the_normal_force_of_hills_has_a_potential() -> None:
-    """Without damping F = -dV/dp by differences, with the integral V of k s(d) for the depth d below the tangent plane."""
+    """Without damping F = -dV/dp by differences, V the integral of k s(d), d the depth below the tangent plane."""
     k, width = 1e3, 1e-3
     hills = Ground(
         stiffness=k, damping=0.0, friction=0.0, height=lambda x, y: tx.Sin(3.0 * x) * tx.Cos(2.0 * y), sharpness=width

@@ -7,6 +7,7 @@ constraints, SIAM Journal on Optimization 11 (2001), equation (1).
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import time
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -30,6 +31,10 @@ _FIRST, _LOWER, _LEAST = 0.01, 0.3, 0.8
 _MOST = 150
 #: After these statuses a smaller relaxation is tried.
 _GOING_ON = (*AT_OPTIMUM, Status.STALLED, Status.MAX_ITERATIONS, Status.INFEASIBLE)
+#: After these statuses no other guess is tried.
+_ENDED = (Status.OUT_OF_TIME, Status.STOPPED)
+#: Attributes of a result that are sums over all solves.
+_TOTALS = ("iterations", "compile_seconds", "solve_seconds")
 #: Searches leave saddle points at relaxations above this fraction of a typical product, and at the last one; in
 #: between, every search returns to the saddle.
 _OPEN = 1e-4
@@ -61,7 +66,10 @@ def products(result: Any) -> dict[str, float]:
 
 
 def lowered(problem: Any, options: Any, solve: Callable[[Any], Any]) -> Any:
-    """The result with the final relaxations, after solves with larger ones.
+    """The result with the final relaxations, after solves with larger ones; the best one of all guesses.
+
+    Contact sequences that are equally good with large relaxations may not be so with small ones. So each guess has its
+    own sequence of relaxations.
 
     Args:
         solve: solves with other options.
@@ -73,6 +81,26 @@ def lowered(problem: Any, options: Any, solve: Callable[[Any], Any]) -> Any:
     last = _last(problem, changed)
     if not last:
         return solve(options)
+    results: list[Any] = []
+    while len(results) < options.guesses and all(result.status not in _ENDED for result in results):
+        number = len(results)
+        seed = options.seed if number == 0 else (options.seed or 0) + number
+        one = dataclasses.replace(options, guesses=1, seed=seed, max_seconds=_left(options, begin))
+        results.append(_from_one_guess(problem, one, solve, changed, last))
+    best = min(results, key=lambda result: (result.status not in AT_OPTIMUM, problem.sign * result.cost))
+    totals = {name: sum(getattr(result, name) for result in results) for name in _TOTALS}
+    return dataclasses.replace(best, tries=tuple(itertools.chain(*(result.tries for result in results))), **totals)
+
+
+def _left(options: Any, begin: float) -> float | None:
+    """The seconds that are left of a solve."""
+    return None if options.max_seconds is None else max(options.max_seconds - (time.perf_counter() - begin), 1e-3)
+
+
+def _from_one_guess(
+    problem: Any, options: Any, solve: Callable[[Any], Any], changed: Mapping[str, Any], last: Mapping[str, float]
+) -> Any:
+    begin = time.perf_counter()
     size = _typical(problem, options)
     every: list[Any] = []
 
@@ -82,8 +110,7 @@ def lowered(problem: Any, options: Any, solve: Callable[[Any], Any]) -> Any:
         other: dict[str, Any] = {"params": changed | {name: max(value, least) for name, least in last.items()}}
         if not is_last:
             other |= {"refine": None, "between": None, "mesh_tolerance": np.inf}
-        if options.max_seconds is not None:
-            other["max_seconds"] = max(options.max_seconds - (time.perf_counter() - begin), 1e-3)
+        other["max_seconds"] = _left(options, begin)
         if start is not None:
             useful = [Strategy.IMPLICIT_STEPS, *[Strategy.LEAVING_SADDLES] * (is_last or value > _OPEN * size)]
             other |= dict.fromkeys(("guess", "final_time_guess", "seed")) | {"guesses": 1, "warm": start}
@@ -108,9 +135,7 @@ def lowered(problem: Any, options: Any, solve: Callable[[Any], Any]) -> Any:
     return dataclasses.replace(
         result,
         message=f"{result.message} {_remark(len(every), result, best, size)}",
-        iterations=sum(solved.iterations for solved in every),
-        compile_seconds=sum(solved.compile_seconds for solved in every),
-        solve_seconds=sum(solved.solve_seconds for solved in every),
+        **{name: sum(getattr(solved, name) for solved in every) for name in _TOTALS},
     )
 
 
