@@ -10,7 +10,7 @@ import pytest
 
 import twistax as tx
 from twistax.errors import ModelError, ShapeError
-from twistax.trajectory import IPOPT, Collocation, Contact, Friction, Problem, Strategy
+from twistax.trajectory import IPOPT, Collocation, Contact, Friction, Problem, Status, Strategy
 
 GRAVITY, MASS, FOOT, NODES = 9.81, 2.0, 0.3, 21
 EULER: Any = Collocation(tx.tableaus.RADAU_IIA1)
@@ -109,6 +109,32 @@ def test_ipopt_comes_to_the_same_hop_by_the_same_relaxations() -> None:
     np.testing.assert_allclose(other.cost, hop().cost, rtol=0.03)  # other patterns of contacts are as near
     kept = hopper().solve(warm=hop(), mesh_tolerance=np.inf, solver=IPOPT())
     np.testing.assert_allclose(kept.cost, hop().cost, rtol=1e-6)
+
+
+def test_each_guess_has_its_own_relaxations() -> None:
+    best = hopper().solve(mesh_tolerance=np.inf, guesses=4)
+    assert best.solved, best.message
+    assert best.cost < 0.99 * hop().cost  # another contact sequence
+    assert len(best.tries) >= 4
+
+
+def test_what_the_fixed_values_alone_violate_is_not_solved_again_with_smaller_relaxations() -> None:
+    result = hopper().solve(initial={x: 0.3, z: -0.1, v: 0.0, vz: 0.0})
+    assert result.status is Status.INFEASIBLE
+    assert result.message.endswith(
+        "'toe: gap' at node 0 is violated by 0.1, by the fixed initial and final values alone."
+    )
+    assert result.iterations <= 1
+
+
+def test_the_message_says_where_impacts_are_not_inelastic() -> None:
+    system = tx.System(rates={z: vz, vz: N - GRAVITY}, constraints={"toe": Contact(z, N)})
+    for transcription, says in ((EULER, False), (Collocation(tx.tableaus.RADAU_IIA3), True)):
+        rest = {"initial": {z: 0.0, vz: 0.0}, "transcription": transcription}
+        problem = Problem(
+            tx.compile(system), tx.Minimize(running=N * N), nodes=4, final_time=1.0, guess={N: 9.0}, **rest
+        )
+        assert ("impacts are not inelastic" in problem.solve(mesh_tolerance=np.inf).message) is says
 
 
 def test_relaxations_are_numbers_and_compile_nothing(caplog: pytest.LogCaptureFixture) -> None:

@@ -79,7 +79,8 @@ class Contact(ConstraintSet):
     Use it like a constraint, in the `constraints` of a `System`. The optimiser determines when there is contact. The
     product relates the force along an interval to the gap at its end, as a step of the backward Euler method does. With
     the transcription `tx.trajectory.Collocation(tx.tableaus.RADAU_IIA1)`, which is that method, impacts are inelastic
-    and take one interval. With multiple shooting, impacts occur only at nodes, and are soft.
+    and take one interval. With other collocation methods the optimiser chooses the restitution of impacts, which may be
+    elastic. With multiple shooting the force of an interval begins before the contact at its end.
 
     `problem.solve()` starts with a relaxation $\epsilon$ of a hundredth of a typical product. Each further relaxation
     is 0.3 times the previous one and is solved with a warm start, down to the value of the relaxation's parameter,
