@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_controller import full
+from test_controller import full, regulator
 from trajectory_systems import HEUN, spinning_ball
 
 import twistax as tx
@@ -204,3 +204,12 @@ def test_a_controller_is_neither_batched_nor_differentiated() -> None:
     for transformed in (jax.grad(thrust), jax.grad(jax.jit(thrust)), jax.jacfwd(thrust), batched):
         with pytest.raises(TrajectoryError, match=r"(?s)\.feedback changes the plan.*tx\.trajectory\.solution"):
             transformed(1.0)
+
+
+def test_the_message_names_the_limits_that_the_measured_state_violates() -> None:
+    controller = full(regulator())
+    controller.feedback({"p": 1.0, "v": -3.0})
+    assert controller.status in (Status.STALLED, Status.MAX_ITERATIONS)
+    assert controller.message == f"{controller.status}. The measured state violates 'v >= -2' by 1."
+    controller.feedback({"p": 1.0, "v": 0.5})
+    assert controller.message == f"{Status.SOLVED}."

@@ -35,9 +35,11 @@ from .arguments import constant, of_shape, scalar
 from .distances.solids import rounded
 from .kinematic_tree import KinematicTree, Positions
 
+_Range = tuple[str, Callable[[float], Any]]
+
 _UP = Constant(np.array([0.0, 0.0, 1.0]))
-_POSITIVE: Any = ("a positive number", lambda a: 0.0 < a < np.inf)
-_NOT_NEGATIVE: Any = ("a number not below zero", lambda a: 0.0 <= a < np.inf)
+_POSITIVE: _Range = ("a positive number", lambda a: 0.0 < a < np.inf)
+_NOT_NEGATIVE: _Range = ("a number not below zero", lambda a: 0.0 <= a < np.inf)
 
 #: Half of the width of the rounded corner between stiction and sliding, as a share of the limit of friction.
 _ROUNDED = 0.02
@@ -147,7 +149,8 @@ class Ground:
         normal, up = self._push(place, velocity)
         across = _across(up)
         v = across @ velocity
-        return normal * (up - across.T @ (self.friction * v / Sqrt(Dot(v, v) + self.slip**2)))
+        speed = Sqrt(Dot(v, v) + to_expr(self.slip) ** 2)
+        return normal * (up - across.T @ (self.friction * v / speed))
 
     def normal(self, place: Expr, velocity: Expr) -> Expr:
         """The normal force n (), N, on a point at `place` (3,) with the velocity `velocity` (3,), in the axes of the
@@ -166,8 +169,8 @@ class Ground:
     def _push(self, place: Expr, velocity: Expr) -> tuple[Expr, Expr]:
         """The normal force n (), N, on a point, and its direction (3,)."""
         depth, up = self._surface(of_shape("Ground", "place", place, (3,)))
-        damping_factor = _positive(1.0 - self.damping * Dot(velocity, up), 1e-3)
-        size = self.stiffness * _positive(depth, self.sharpness) * damping_factor
+        damping_factor = _positive(1.0 - to_expr(self.damping) * Dot(velocity, up), 1e-3)
+        size = to_expr(self.stiffness) * _positive(depth, self.sharpness) * damping_factor
         return (size, up) if up is _UP else (size * Norm(up), up / Norm(up))
 
     def _surface(self, place: Expr) -> tuple[Expr, Expr]:
@@ -371,12 +374,12 @@ def _across(up: Expr) -> Expr:
     if isinstance(up, Constant):
         return Constant(np.eye(3)[:2])
     share = 1.0 / (1.0 + up[2])
-    return np.eye(3)[:2] - Outer(up[:2], Concat(up[:2] * share, 1.0))
+    return Constant(np.eye(3)[:2]) - Outer(up[:2], Concat(up[:2] * share, 1.0))
 
 
-def _positive(a: Expr, width: float) -> Expr:
+def _positive(a: Expr, width: ExprLike) -> Expr:
     """(a + sqrt(a^2 + width^2)) / 2."""
-    return 0.5 * (a + Sqrt(a * a + width**2))
+    return 0.5 * (a + Sqrt(a * a + to_expr(width) ** 2))
 
 
 def _stuck(y: Expr, limit: Expr) -> Expr:

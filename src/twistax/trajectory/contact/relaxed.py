@@ -106,8 +106,8 @@ def _from_one_guess(
     problem: Any,
     options: Any,
     solve: Callable[[Any], Any],
-    changed: Mapping[str, Any],
-    last: Mapping[str, float],
+    changed: dict[str, Any],
+    last: dict[str, float],
     first: float,
 ) -> Any:
     """The result with the final relaxations, from one guess.
