@@ -229,7 +229,12 @@ def test_bristles_over_a_tilted_plane_are_those_over_level_ground_in_its_axes(sh
         grip = Ground(stiffness=1e4, friction=0.6, height=height).bristles(robot, frames)
         (state, rate), (wrench,) = next(iter(grip.rates.items())), grip.wrenches.values()
         x = {"block_position": at, "qd": np.array([0.3, -0.2, -0.1, 0.5, 0.1, -0.3])}
-        results.append(np.asarray(evaluated(tx.Concat(rate, wrench), x | {state.name: np.full(state.shape, 2e-4)})))
+        bend = np.linspace(1e-4, 4e-4, state.shape[0])
+        results.append(np.asarray(evaluated(tx.Concat(rate, wrench), x | {state.name: bend})))
+        bend[-2:] *= 2.0  # the last point alone
+        other = np.asarray(evaluated(tx.Concat(rate, wrench), x | {state.name: bend}))
+        moved = np.abs(other - results[-1])[:-6] > 1e-9
+        assert list(moved) == [False] * (len(moved) - 2) + [True, True]
     assert np.linalg.norm(results[0][-6:-3]) > 10.0
     np.testing.assert_allclose(results[1], results[0], rtol=1e-9, atol=1e-9)
 
