@@ -278,6 +278,36 @@ def test_the_normal_force_of_hills_has_a_potential() -> None:
         np.testing.assert_allclose(F, expected, rtol=1e-6, atol=1e-6)
 
 
+@pytest.mark.thorough
+def test_a_capsule_tips_over_as_in_mujoco(unchecked: None) -> None:
+    """A capsule on one end, inclined by 10 degrees, rolls and falls on its side; MuJoCo's contacts are as stiff."""
+    mujoco = pytest.importorskip("mujoco")
+    radius, length, mass, tilt = 0.05, 0.4, 1.2, np.deg2rad(10.0)
+    inertia = np.array([mass * length**2 / 12.0 + mass * radius**2 / 4.0] * 2 + [mass * radius**2 / 2.0])
+    text = f"""<mujoco><option timestep="2e-4" cone="elliptic" impratio="100" integrator="implicitfast"/>
+    <default><geom solref="0.002 1" solimp="0.99 0.999 0.001" condim="3" friction="0.8 0 0"/></default>
+    <worldbody><geom type="plane" size="5 5 .1"/><body><freejoint/>
+    <inertial pos="0 0 0" mass="{mass}" diaginertia="{" ".join(map(str, inertia))}"/>
+    <geom type="capsule" size="{radius} {length / 2.0}"/></body></worldbody></mujoco>"""
+    model = mujoco.MjModel.from_xml_string(text)
+    data, high = mujoco.MjData(model), length / 2.0 * np.cos(tilt) + radius
+    data.qpos[:] = [0.0, 0.0, high, np.cos(tilt / 2.0), 0.0, np.sin(tilt / 2.0), 0.0]
+    body = SpatialInertia(mass=mass, inertia=np.diag(inertia))
+    robot = Mechanism([Link(joints.Free("rod"), body, np.eye(4))])
+    ground = Ground(stiffness=1e5, damping=1.0, friction=0.8, slip=1e-3)
+    shapes = {"rod": tx.view.Capsule(radius, length)}
+    falling = tx.compile(robot.system(controls=[], wrenches=ground.wrenches(robot, shapes)))
+    times = np.array([0.15, 0.3, 0.45, 1.5])
+    start = {"rod_position": tx.pose(position=[0.0, 0.0, high - 1e-4], euler=[0.0, tilt, 0.0]), "qd": np.zeros(6)}
+    poses = np.asarray(tx.integrate(falling, start, t1=1.5, dt=2e-5, save_at=times).xs["rod_position"])
+    for t, T in zip(times, poses, strict=True):
+        while data.time < t - 1e-9:
+            mujoco.mj_step(model, data)
+        mujoco.mj_forward(model, data)
+        np.testing.assert_allclose(np.arccos(T[2, 2]), np.arccos(data.xmat[1].reshape(3, 3)[2, 2]), atol=1e-3)
+        np.testing.assert_allclose(T[:3, 3], data.qpos[:3], atol=1e-3)
+
+
 def test_balls_and_capsules_touch_the_ground_with_their_surface(unchecked: None) -> None:
     robot, ball, rod = block(), tx.view.Sphere(0.05), tx.view.Capsule(0.05, 0.4, at=(0.0, 0.0, 0.1))
     lying = tx.pose(position=[0.0, 0.0, 0.24], rotation=np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]))
