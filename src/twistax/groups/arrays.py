@@ -6,9 +6,10 @@ Small vectors are tuples of their components: XLA compiles scalar arithmetic to 
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any, TypeAlias
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, ParamSpec, TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -22,6 +23,9 @@ from twistax.errors import InputError, ShapeError
 Input: TypeAlias = ArrayLike | Sequence[Any]
 
 Components: TypeAlias = tuple[Array, ...]
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 _TYPED = (Array, np.ndarray, np.generic)
 
@@ -57,6 +61,24 @@ def of_shape(function: str, shapes: Mapping[str, tuple[int, ...]], *values: Inpu
     return arrays
 
 
+def compiled(function: Callable[P, R]) -> Callable[P, R]:
+    """A map of arrays as one program of XLA. Where it is traced, its operations become part of the surrounding program.
+
+    Without it, a call outside of `jax.jit` would compile and start each operation separately.
+    """
+    program = jax.jit(function, inline=True)
+
+    @functools.wraps(function)
+    def call(*values: P.args, **named: P.kwargs) -> R:
+        try:
+            arrays = floats(*values, *named.values())
+        except InputError:
+            return function(*values, **named)  # its message names the argument
+        return program(*arrays[: len(values)], **dict(zip(named, arrays[len(values) :], strict=True)))
+
+    return call
+
+
 def known(a: Array) -> np.ndarray | None:
     """The array as a NumPy array; None if it is traced."""
     from twistax.jax_inside import is_traced  # not at import: it loads much of JAX that `import jax` does not
@@ -84,6 +106,7 @@ def element(function: str, name: str, g: Array, drift: float = 0.1) -> Array:
     return g
 
 
+@compiled
 def defect(g: Array) -> Array:
     """The largest of max |R^T R - I|, |det R - 1| and, of a pose, the deviation of the last row from (0, 0, 0, 1)."""
     R = g[:3, :3]

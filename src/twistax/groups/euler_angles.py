@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import Array
 
@@ -49,6 +51,7 @@ def turns(sequence: str) -> Turns:
     return Turns(axes, (0, 1, 2)) if sequence.isupper() else Turns(axes[::-1], (2, 1, 0))
 
 
+@functools.partial(jax.jit, static_argnames="sequence", inline=True)
 def rotation(angles: Array, sequence: str) -> Array:
     """The rotation matrix of three angles in rad, in the order of the sequence."""
     axes, places = turns(sequence)
@@ -60,6 +63,7 @@ def rotation(angles: Array, sequence: str) -> Array:
     return jnp.stack(columns, axis=1)
 
 
+@functools.partial(jax.jit, static_argnames="sequence", inline=True)
 def angles(R: Array, sequence: str) -> Array:
     """Three angles in rad, in the order of the sequence, of a rotation matrix.
 

@@ -12,7 +12,7 @@ import numpy as np
 from twistax.errors import InputError, ShapeError
 from twistax.groups import euler_angles, quaternions, se3, so3
 from twistax.groups.annotations import Array, Float
-from twistax.groups.arrays import Input, element, floats, known, of_shape
+from twistax.groups.arrays import Input, compiled, element, floats, known, of_shape
 from twistax.groups.euler_angles import ROLL_PITCH_YAW
 from twistax.units import metres, radians, same_unit
 
@@ -32,6 +32,11 @@ def _from_quaternion(q: Array) -> Array:
     values = known(q)
     if values is not None and not values.any():
         raise InputError(f"pose expects a nonzero quaternion (w, x, y, z), got {values.tolist()}")
+    return _from_nonzero(q)
+
+
+@compiled
+def _from_nonzero(q: Array) -> Array:
     # Dividing by the largest component first keeps the squares from under- or overflowing.
     return quaternions.to_rotation(q / jnp.max(jnp.abs(q)))
 

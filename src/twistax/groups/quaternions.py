@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jax import Array
 
-from twistax.groups.arrays import Components, add, cross, dot, matrix, multiply, scale, turn_rows, unpack, vector
+from twistax.groups.arrays import Components, add, compiled, cross, dot, matrix, multiply, scale, turn_rows, unpack, vector
 from twistax.groups.series import exp_coefficients
 
 
@@ -46,12 +46,14 @@ def unscaled(R: Array) -> Array:
     return jnp.where(leading < 0.0, -q, q)
 
 
+@compiled
 def from_rotation(R: Array) -> Array:
     """The unit quaternion of the rotation nearest to R, w >= 0; at w = 0 the first non-zero component > 0."""
     q = unscaled(R)
     return q / jnp.sqrt(jnp.sum(q * q))
 
 
+@compiled
 def to_rotation(q: Array) -> Array:
     """The rotation matrix of a quaternion of any nonzero length."""
     q_ = unpack(q)
@@ -73,6 +75,7 @@ def rotate(q: Components, v: Components) -> Components:
     return add(v, scale(q[0], twice), cross(q[1:], twice))
 
 
+@compiled
 def hamilton(p: Array, q: Array) -> Array:
     """The product p q; R(p q) = R(p) R(q)."""
     return vector(product(unpack(p), unpack(q)))

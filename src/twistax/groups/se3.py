@@ -19,6 +19,7 @@ from twistax.groups.arrays import (
     Components,
     Input,
     add,
+    compiled,
     cross,
     dot,
     dual_polynomial,
@@ -56,12 +57,14 @@ def _blocks(diagonal: Array, upper: Array, lower: Array) -> Array:
     )
 
 
+@compiled
 def transform(R: Array, p: Array) -> Array:
     """[R p; 0 1] of a rotation (3, 3) and a position (3,)."""
     top = jnp.concatenate([R, p[:, None]], axis=1)
     return jnp.concatenate([top, jnp.asarray([[0.0, 0.0, 0.0, 1.0]], dtype=top.dtype)], axis=0)
 
 
+@compiled
 def exp(xi: Input) -> Float[Array, "4 4"]:
     """$Exp(xi) = [Exp(w), J_l(w) v; 0, 1]$: the pose reached from the identity by the constant body twist xi in unit
     time.
@@ -85,6 +88,7 @@ def log(T: Input) -> Float[Array, "6"]:
     return unchecked_log(element("se3.log", "T", T))
 
 
+@compiled
 def unchecked_log(T: Array) -> Array:
     """`log` without a check of the matrix. For a reflection, values and derivatives are NaN."""
     rotation = so3.unchecked_log(T[:3, :3])
@@ -93,6 +97,7 @@ def unchecked_log(T: Array) -> Array:
     return jnp.concatenate([vector(v), rotation])
 
 
+@compiled
 def hat(xi: Input) -> Float[Array, "4 4"]:
     """$[W, v; 0, 0]$ of $xi = [v; w]$. Shapes: (6,) -> (4, 4). Raises ShapeError."""
     (xi,) = of_shape("se3.hat", {"xi": (6,)}, xi)
@@ -101,6 +106,7 @@ def hat(xi: Input) -> Float[Array, "4 4"]:
     return matrix([[o, -z, y, a], [z, o, -x, b], [-y, x, o, c], [o, o, o, o]])
 
 
+@compiled
 def vee(X: Input) -> Float[Array, "6"]:
     """The inverse of hat. It uses the skew-symmetric part of the rotation block. Shapes: (4, 4) -> (6,).
 
@@ -110,11 +116,13 @@ def vee(X: Input) -> Float[Array, "6"]:
     return jnp.concatenate([X[:3, 3], so3.vee(X[:3, :3])])
 
 
+@compiled
 def compose(T: Input, S: Input) -> Float[Array, "4 4"]:
     """T S. Shapes: (4, 4), (4, 4) -> (4, 4). Raises ShapeError."""
     return multiply(*of_shape("se3.compose", {"T": (4, 4), "S": (4, 4)}, T, S))
 
 
+@compiled
 def inverse(T: Input) -> Float[Array, "4 4"]:
     """$[R^T, -R^T p; 0, 1]$. Shapes: (4, 4) -> (4, 4). Raises ShapeError."""
     (T,) = of_shape("se3.inverse", {"T": (4, 4)}, T)
@@ -122,6 +130,7 @@ def inverse(T: Input) -> Float[Array, "4 4"]:
     return transform(Rt, -multiply(Rt, T[:3, 3]))
 
 
+@compiled
 def between(T: Input, S: Input) -> Float[Array, "4 4"]:
     """$T^-1 S$, with the positions subtracted first to avoid cancellation of large common positions.
 
@@ -132,6 +141,7 @@ def between(T: Input, S: Input) -> Float[Array, "4 4"]:
     return transform(multiply(Rt, S[:3, :3]), multiply(Rt, S[:3, 3] - T[:3, 3]))
 
 
+@compiled
 def act(T: Input, points: Input) -> Float[Array, "*points"]:
     """R p + t for a point p (3,) or for each row of (n, 3). Raises ShapeError."""
     T, points = floats(T, points)
@@ -141,18 +151,21 @@ def act(T: Input, points: Input) -> Float[Array, "*points"]:
     return so3.act(T[:3, :3], points) + jnp.broadcast_to(T[:3, 3], points.shape)
 
 
+@compiled
 def ad(xi: Input) -> Float[Array, "6 6"]:
     """$ad_xi = [W, V; 0, W]$, so that $ad_xi eta = [xi, eta]$. Shapes: (6,) -> (6, 6). Raises ShapeError."""
     (xi,) = of_shape("se3.ad", {"xi": (6,)}, xi)
     return _blocks(so3.hat(xi[3:]), so3.hat(xi[:3]), jnp.zeros((3, 3), xi.dtype))
 
 
+@compiled
 def ad_dual(xi: Input) -> Float[Array, "6 6"]:
     """$ad*_xi = -ad_xi^T = [W, 0; V, W]$; $M xi' = F - ad*_xi (M xi)$. Shapes: (6,) -> (6, 6). Raises ShapeError."""
     (xi,) = of_shape("se3.ad_dual", {"xi": (6,)}, xi)
     return _blocks(so3.hat(xi[3:]), jnp.zeros((3, 3), xi.dtype), so3.hat(xi[:3]))
 
 
+@compiled
 def Ad(T: Input) -> Float[Array, "6 6"]:
     """$Ad_T = [R, [p]R; 0, R]$: twists from frame b to frame a for T = T_ab.
 
@@ -163,6 +176,7 @@ def Ad(T: Input) -> Float[Array, "6 6"]:
     return _blocks(R, multiply(so3.hat(T[:3, 3]), R), jnp.zeros((3, 3), T.dtype))
 
 
+@compiled
 def Ad_dual(T: Input) -> Float[Array, "6 6"]:
     """$Ad*_T = Ad_T^-T = [R, 0; [p]R, R]$: wrenches from frame b to frame a for T = T_ab.
 
@@ -173,18 +187,21 @@ def Ad_dual(T: Input) -> Float[Array, "6 6"]:
     return _blocks(R, jnp.zeros((3, 3), T.dtype), multiply(so3.hat(T[:3, 3]), R))
 
 
+@compiled
 def bracket(xi: Input, eta: Input) -> Float[Array, "6"]:
     """$[xi, eta] = ad_xi eta = [w1 x v2 + v1 x w2; w1 x w2]$. Shapes: (6,), (6,) -> (6,). Raises ShapeError."""
     (v, w), (y, u) = map(_halves, of_shape("se3.bracket", {"xi": (6,), "eta": (6,)}, xi, eta))
     return vector(add(cross(w, y), cross(v, u)) + cross(w, u))
 
 
+@compiled
 def coad(xi: Input, momentum: Input) -> Float[Array, "6"]:
     """$ad*_xi mu = [w x p; v x p + w x L]$ for $mu = [p; L]$. Shapes: (6,), (6,) -> (6,). Raises ShapeError."""
     (v, w), (p, L) = map(_halves, of_shape("se3.coad", {"xi": (6,), "momentum": (6,)}, xi, momentum))
     return vector(cross(w, p) + add(cross(v, p), cross(w, L)))
 
 
+@compiled
 def left_jacobian(xi: Input) -> Float[Array, "6 6"]:
     """$J_l(xi) = [J, Q; 0, J]$: $Exp(xi + d) = Exp(J_l d) Exp(xi)$ to first order.
 
@@ -206,6 +223,7 @@ def right_jacobian(xi: Input) -> Float[Array, "6 6"]:
     return left_jacobian(-of_shape("se3.right_jacobian", {"xi": (6,)}, xi)[0])
 
 
+@compiled
 def left_jacobian_inv(xi: Input) -> Float[Array, "6 6"]:
     """$J_l(xi)^-1 = [D, E; 0, D]$, $D = I - W/2 + d W^2$, E its derivative in the direction v; singular at |w| = 2 pi.
 
@@ -223,6 +241,7 @@ def right_jacobian_inv(xi: Input) -> Float[Array, "6 6"]:
     return left_jacobian_inv(-of_shape("se3.right_jacobian_inv", {"xi": (6,)}, xi)[0])
 
 
+@compiled
 def right_jacobian_inv_apply(eta: Input, omega: Input) -> Float[Array, "6"]:
     """$J_r(eta)^-1 Omega$ by cross products, with no 6x6 matrix.
 

@@ -14,6 +14,7 @@ from twistax.groups import quaternions
 from twistax.groups.annotations import Array, Float
 from twistax.groups.arrays import (
     Input,
+    compiled,
     cross,
     determinant,
     dot,
@@ -39,6 +40,7 @@ __all__ = [
 # fmt: on
 
 
+@compiled
 def exp(w: Input) -> Float[Array, "3 3"]:
     """$Exp(w) = I + (sin t / t) W + ((1 - cos t) / t^2) W^2$, $t = |w|$: the rotation by t rad about w.
 
@@ -51,21 +53,26 @@ def exp(w: Input) -> Float[Array, "3 3"]:
 
 
 @jax.custom_jvp
-def unchecked_log(R: Array) -> Array:
-    """`log` without a check of the matrix. For a reflection, values and derivatives are NaN."""
+def _unchecked_log(R: Array) -> Array:
     w, x, y, z = unpack(quaternions.unscaled(R))
     axis = (x, y, z)
     ratio = jnp.where(determinant(R) > 0.0, angle_ratio(dot(axis, axis), w), jnp.nan)
     return vector(scale(ratio, axis))
 
 
-@unchecked_log.defjvp
+@_unchecked_log.defjvp
 def _log_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
     # d Log(R) = J_r^-1(Log R) (R^T dR)^v holds along every curve in the group, also at a half turn, and its own
     # derivatives are as smooth: no branch and no root is differentiated.
     (R,), (dR,) = primals, tangents
-    w = unchecked_log(R)
+    w = _unchecked_log(R)
     return w, right_jacobian_inv_apply(w, vee(multiply(R.T, dR)))
+
+
+@compiled
+def unchecked_log(R: Array) -> Array:
+    """`log` without a check of the matrix. For a reflection, values and derivatives are NaN."""
+    return _unchecked_log(R)
 
 
 def log(R: Input) -> Float[Array, "3"]:
@@ -79,6 +86,7 @@ def log(R: Input) -> Float[Array, "3"]:
     return unchecked_log(element("so3.log", "R", R))
 
 
+@compiled
 def hat(w: Input) -> Float[Array, "3 3"]:
     """W with $W u = w x u$. Shapes: (3,) -> (3, 3). Raises ShapeError."""
     (w,) = of_shape("so3.hat", {"w": (3,)}, w)
@@ -87,6 +95,7 @@ def hat(w: Input) -> Float[Array, "3 3"]:
     return matrix([[o, -z, y], [z, o, -x], [-y, x, o]])
 
 
+@compiled
 def vee(W: Input) -> Float[Array, "3"]:
     """The inverse of hat. It uses the skew-symmetric part of W. Shapes: (3, 3) -> (3,). Raises ShapeError."""
     (W,) = of_shape("so3.vee", {"W": (3, 3)}, W)
@@ -94,6 +103,7 @@ def vee(W: Input) -> Float[Array, "3"]:
     return vector([0.5 * (zy - yz), 0.5 * (xz - zx), 0.5 * (yx - xy)])
 
 
+@compiled
 def compose(R: Input, S: Input) -> Float[Array, "3 3"]:
     """R S. Shapes: (3, 3), (3, 3) -> (3, 3). Raises ShapeError."""
     return multiply(*of_shape("so3.compose", {"R": (3, 3), "S": (3, 3)}, R, S))
@@ -105,6 +115,7 @@ def inverse(R: Input) -> Float[Array, "3 3"]:
     return R.T
 
 
+@compiled
 def act(R: Input, points: Input) -> Float[Array, "*points"]:
     """R p for a point (3,) or for each row of (n, 3). Raises ShapeError."""
     R, points = floats(R, points)
@@ -134,18 +145,21 @@ def Ad_dual(R: Input) -> Float[Array, "3 3"]:
     return of_shape("so3.Ad_dual", {"R": (3, 3)}, R)[0]
 
 
+@compiled
 def bracket(w: Input, u: Input) -> Float[Array, "3"]:
     """$[w, u] = w x u$. Shapes: (3,), (3,) -> (3,). Raises ShapeError."""
     w, u = of_shape("so3.bracket", {"w": (3,), "u": (3,)}, w, u)
     return vector(cross(unpack(w), unpack(u)))
 
 
+@compiled
 def coad(w: Input, momentum: Input) -> Float[Array, "3"]:
     """$ad*_w L = w x L$. Shapes: (3,), (3,) -> (3,). Raises ShapeError."""
     w, momentum = of_shape("so3.coad", {"w": (3,), "momentum": (3,)}, w, momentum)
     return vector(cross(unpack(w), unpack(momentum)))
 
 
+@compiled
 def left_jacobian(w: Input) -> Float[Array, "3 3"]:
     """$J_l(w) = I + ((1 - cos t) / t^2) W + ((t - sin t) / t^3) W^2$: $Exp(w + d) = Exp(J_l d) Exp(w)$ to first order.
 
@@ -165,6 +179,7 @@ def right_jacobian(w: Input) -> Float[Array, "3 3"]:
     return left_jacobian(-of_shape("so3.right_jacobian", {"w": (3,)}, w)[0])
 
 
+@compiled
 def left_jacobian_inv(w: Input) -> Float[Array, "3 3"]:
     """$J_l(w)^-1 = I - W/2 + d W^2$, $d = (1 - (t/2) cot(t/2)) / t^2$; singular at t = 2 pi.
 
@@ -180,6 +195,7 @@ def right_jacobian_inv(w: Input) -> Float[Array, "3 3"]:
     return left_jacobian_inv(-of_shape("so3.right_jacobian_inv", {"w": (3,)}, w)[0])
 
 
+@compiled
 def right_jacobian_inv_apply(w: Input, u: Input) -> Float[Array, "3"]:
     """$J_r(w)^-1 u = u + w x u / 2 + d w x (w x u)$, by cross products.
 

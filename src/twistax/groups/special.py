@@ -16,7 +16,7 @@ from jax.typing import DTypeLike
 from twistax.errors import InputError, ModelError, ShapeError
 from twistax.groups import quaternions, se3, so3
 from twistax.groups.annotations import Array, Float
-from twistax.groups.arrays import Input, defect, dot, element, element_defect, floats, matrix, of_shape, unpack
+from twistax.groups.arrays import Input, compiled, defect, dot, element, element_defect, floats, matrix, of_shape, unpack
 from twistax.groups.group import ElementPart, Group
 
 
@@ -67,6 +67,7 @@ LINEAR_FIRST = Order(linear_leads=True)
 ANGULAR_FIRST = Order(linear_leads=False)
 
 
+@compiled
 def _tightened(R: Array) -> Array:
     """R (3 I - R^T R) / 2: a drift of size e in R^T R - I becomes one of size e^2.
 
@@ -82,6 +83,7 @@ def _tightened(R: Array) -> Array:
     return matrix([[row[j] - dot(row, half[j]) for j in range(3)] for row in rows])
 
 
+@compiled
 def _nearest(R: Array) -> Array:
     return quaternions.to_rotation(quaternions.unscaled(R))
 
