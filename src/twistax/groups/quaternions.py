@@ -5,7 +5,19 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jax import Array
 
-from twistax.groups.arrays import Components, add, compiled, cross, dot, matrix, multiply, scale, turn_rows, unpack, vector
+from twistax.groups.arrays import (
+    Components,
+    add,
+    compiled,
+    cross,
+    dot,
+    matrix,
+    multiply,
+    scale,
+    turn_rows,
+    unpack,
+    vector,
+)
 from twistax.groups.series import exp_coefficients
 
 

@@ -16,7 +16,18 @@ from jax.typing import DTypeLike
 from twistax.errors import InputError, ModelError, ShapeError
 from twistax.groups import quaternions, se3, so3
 from twistax.groups.annotations import Array, Float
-from twistax.groups.arrays import Input, compiled, defect, dot, element, element_defect, floats, matrix, of_shape, unpack
+from twistax.groups.arrays import (
+    Input,
+    compiled,
+    defect,
+    dot,
+    element,
+    element_defect,
+    floats,
+    matrix,
+    of_shape,
+    unpack,
+)
 from twistax.groups.group import ElementPart, Group
 
 
