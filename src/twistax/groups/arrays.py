@@ -69,7 +69,7 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     program = jax.jit(function, inline=True)
 
     @functools.wraps(function)
-    def call(*values: P.args, **named: P.kwargs) -> R:
+    def call(*values: Any, **named: Any) -> R:
         try:
             arrays = floats(*values, *named.values())
         except InputError:
