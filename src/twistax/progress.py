@@ -64,7 +64,7 @@ class Progress:
         self._patience = 0.0 if shown else _PATIENCE
         self._begin = time.perf_counter()
         self._written = 0.0 if self._live else self._begin
-        self._depth, self._lock = 0, threading.Lock()
+        self._depth, self._thread, self._lock = 0, 0, threading.Lock()
         self._standing = self._waited = False  # a line that the next one overwrites; whether seconds were shown
 
     def __call__(self, iteration: int, cost: float, violation: float, step: float | None = None) -> None:
@@ -75,6 +75,7 @@ class Progress:
     def __enter__(self) -> Progress:
         self._depth += 1
         if self.shown and self._depth == 1:
+            self._thread = threading.get_ident()
             _watch(self)
             if self._live and not self._patience:
                 self._write(f"{self._text} ...".lstrip(), live=True)
@@ -86,7 +87,8 @@ class Progress:
             with contextlib.suppress(ValueError):
                 _WATCHED.remove(self)
             self.close()
-            within = any(line.what == self.what for line in _WATCHED)  # the outer one shows the seconds of both
+            # The outer one shows the seconds of both.
+            within = any(line.what == self.what and line._thread == self._thread for line in _WATCHED)
             took = time.perf_counter() - self._begin
             if self._waited and self._patience and took >= self._patience and not within:
                 self._write(f"took {took:.1f} s", live=False)
@@ -202,7 +204,7 @@ def watching(what: str) -> Callable[[Callable[P, T]], Callable[P, T]]:
     return decorate
 
 
-#: Calls under way, the innermost last.
+#: Calls under way in all threads, the innermost of each thread last.
 _WATCHED: list[Progress] = []
 _ANY = threading.Event()
 _THREAD: list[threading.Thread] = []
@@ -217,13 +219,14 @@ def _watch(line: Progress) -> None:
 
 
 def _look() -> None:
-    """Give the innermost call that goes on a line, again and again; sleep while there is none."""
+    """Give the newest call that goes on a line, again and again; sleep while there is none."""
     while True:
         _ANY.wait()
         time.sleep(_TICK)
         lines = list(_WATCHED)
         if lines:
-            lines[-1].waited(lines[0]._begin)
+            outermost = next(line for line in lines if line._thread == lines[-1]._thread)
+            lines[-1].waited(outermost._begin)
         else:
             _ANY.clear()
             if _WATCHED:  # one began in between

@@ -5,6 +5,7 @@ import io
 import logging
 import re
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -171,3 +172,24 @@ def test_a_line_that_is_shown_begins_at_once_and_a_nested_one_does_not_repeat_it
     with progress.watched("compile") as outer, progress.watched("compile") as inner:
         outer._waited = inner._waited = True
     assert sys.stderr.getvalue().count("took") == 1
+
+
+def test_lines_of_other_threads_are_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The end of a call has a line, also while another thread makes a call of the same kind."""
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setattr(progress, "_PATIENCE", 1e-9)
+    ended = threading.Event()
+
+    def other() -> None:
+        with progress.watched("compile") as line:
+            ended.wait(5.0)
+            line._waited = True
+
+    thread = threading.Thread(target=other)
+    thread.start()
+    with progress.watched("compile") as line:
+        line._waited = True
+    ended.set()
+    thread.join()
+    assert terminal.getvalue().count("took") == 2
