@@ -46,6 +46,7 @@ class ReachErrors:
         blocks: the rows of each position, orientation and task, and of each entry of the constraints.
         turns: by block whether it is the orientation of a target.
         size: the total number of rows.
+        residuals: as the errors of a call, but with all residuals of constraints, violated or not.
     Raises: ModelError for unknown frames; a mechanism with loop constraints, or with joints on other groups; tasks
         whose targets are controls, or whose errors do not depend on positions.
     """
@@ -85,6 +86,7 @@ class ReachErrors:
         self.size = ends[-1]
         self._parameters = {leaf.name: leaf.value for leaf in parameters if leaf.value is not None}
         shared = (tuple(self.shapes.items()), tuple(self.constraints.sizes.items()), tuple(self._secondary.sizes))
+        self.residuals = jax.jit(self._residuals)  # traced once for all parts of the search
         self._key = (mechanism, tuple(further.sizes), *shared, *(part.key() for part in parts))
 
     def _need_positions(self, task: Task) -> None:
@@ -125,15 +127,19 @@ class ReachErrors:
 
     def __call__(self, x: Arrays, targets: Arrays, numbers: Arrays) -> tuple[jax.Array, jax.Array]:
         """The errors e (m,) and the Jacobian J (m, n), with e' = -J qd."""
+        return self.active(*self.residuals(x, targets, numbers))
+
+    def active(self, residuals: jax.Array, J: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """The errors and their Jacobian, from all residuals and theirs: a satisfied constraint has the error zero."""
+        count = sum(self.constraints.sizes.values())
+        active = (np.arange(self.size) < self.size - count) | (residuals > 0.0)
+        return jnp.where(active, residuals, 0.0), jnp.where(active[:, None], J, 0.0)
+
+    def _residuals(self, x: Arrays, targets: Arrays, numbers: Arrays) -> tuple[jax.Array, jax.Array]:
         at = {**x, **{f"target of {frame}": T for frame, T in targets.items()}}
         e, J = self._weighted(self._tasks, at, numbers, "weights")
-        if self.constraints.expression is None:
-            return e, J
         c, C = self.constraints(x, {}, numbers["parameters"])
-        broken = c > 0.0
-        zero = jnp.zeros((), c.dtype)
-        active = jnp.where(broken[:, None], -C, zero)
-        return jnp.concatenate([e, jnp.where(broken, c, zero)]), jnp.concatenate([J, active])
+        return jnp.concatenate([e, c]), jnp.concatenate([J, -C])
 
     def secondary(self, x: Arrays, numbers: Arrays) -> tuple[jax.Array, jax.Array]:
         """The weighted errors and the Jacobian of the secondary tasks."""

@@ -279,6 +279,7 @@ class _Reacher:
         self._search = SeededSearch(self.errors, options)
         self._first_steps = part_of_package(self._search.first_steps)
         self._remaining_steps = part_of_package(self._search.remaining_steps)
+        self._last_step = part_of_package(self._polished)
         self._call = jax.jit(self._all, static_argnums=3)
 
     @staticmethod
@@ -324,7 +325,7 @@ class _Reacher:
         if start is not None:
             seeds = {n: s.at[:, 0].set(jax.lax.stop_gradient(start[n]).astype(s.dtype)) for n, s in seeds.items()}
         solution = jax.tree.map(jax.lax.stop_gradient, self._solutions(still, seeds, numbers))
-        return jax.vmap(self._polished, (0, 0, None))(targets, solution, numbers)
+        return jax.vmap(self._last_step, (0, 0, None))(targets, solution, numbers)
 
     def _solutions(self, targets: Arrays, seeds: Arrays, numbers: Arrays) -> SearchEnd:
         """The searches for all targets. Those that go on are neighbours: a kernel takes the steps of neighbours
@@ -339,31 +340,34 @@ class _Reacher:
 
     def _polished(self, targets: Arrays, solution: SearchEnd, numbers: Arrays) -> ReachResult:
         """For one target: a last Gauss-Newton step if it is reached, and the attributes of the result."""
-        reached = self._search.reached(solution.error, numbers)
-        e, J = self.errors(solution.x, targets, numbers)
-        open_J = jax.lax.stop_gradient(jnp.where(solution.free[None], J, 0.0))
+        space, fixed, tasks = self.errors.space, jax.lax.stop_gradient, self.errors.size - len(self._constraints)
+        residuals, slopes = self.errors.residuals(solution.x, targets, numbers)
+        e, J = self.errors.active(residuals, fixed(slopes))
+        reached = self._search.reached(fixed(e), numbers)
+        free, slope = self._search.steepness(solution.x, fixed(e), J)
+        open_J = jnp.where(free[None], J, 0.0)
         size = jnp.sum(open_J * open_J)
         mu = jnp.where(size > 0.0, np.finfo(e.dtype).eps * size, 1.0)  # a target on the base depends on no joint
         step = jnp.where(reached, self._search.least_squares(open_J, e, mu), 0.0)
         # Near a singular configuration the step may increase the error: then it is not taken, but its derivatives are
         # kept.
-        moved = jax.lax.stop_gradient(self.errors.space.moved(solution.x, step))
-        after, _ = self.errors(moved, targets, numbers)
-        worse = (jnp.sum(after * after) > jnp.sum(e * e)) | ~self._search.reached(after, numbers)
-        x = self.errors.space.moved(solution.x, step - jax.lax.stop_gradient(jnp.where(worse, step, 0.0)))
-        distance, angle = self._measures(self.errors(x, targets, numbers)[0], numbers["length"])
+        residuals_after, _ = self.errors.residuals(space.moved(solution.x, fixed(step)), targets, numbers)
+        after, _ = fixed(self.errors.active(residuals_after, slopes))
+        worse = (jnp.sum(after * after) > jnp.sum(fixed(e * e))) | ~self._search.reached(after, numbers)
+        x = space.moved(solution.x, step - fixed(jnp.where(worse, step, 0.0)))
+        residuals = jnp.where(worse, residuals, residuals_after) - fixed(slopes) @ (step - fixed(step))
+        distance, angle = self._measures(residuals[:tasks], numbers["length"])
         # First-order conditions: a limit without a multiplier is not the cause.
         scale = jnp.sqrt(jnp.maximum(jnp.sum(J * J) * jnp.sum(e * e), np.finfo(e.dtype).tiny))
-        multiplier = jnp.where(solution.free, 0.0, jnp.abs(J.T @ e) / scale)
+        multiplier = jnp.where(free, 0.0, jnp.abs(J.T @ e) / scale)
         flat = self._options.flat_in(e.dtype)
-        at_minimum = ~reached & (solution.slope <= flat)
+        at_minimum = ~reached & (slope <= flat)
         at_limit = at_minimum & (multiplier > _SIGNIFICANT * flat)
         certain = at_minimum & (solution.minima == self._seeds)
         missed = jnp.where(certain, int(ReachStatus.UNREACHABLE), int(ReachStatus.MAX_ITERATIONS))
         missed = jnp.where(jnp.any(at_limit), int(ReachStatus.LIMIT), missed)
         status = jnp.where(reached, int(ReachStatus.REACHED), missed)
-        residuals = self.errors.constraints.values(x, {}, numbers["parameters"])
-        measures = (solution.slope, solution.minima, solution.seeds, residuals)
+        measures = (slope, solution.minima, solution.seeds, residuals[tasks:])
         names = (self._frames, self.errors.space.joints, self._constraints)
         return ReachResult(x, status, distance, angle, at_limit, *measures, *names)
 

@@ -38,6 +38,7 @@ import numpy as np
 from ...expr import Solve, State
 from ...system.lower import lower
 from ..tasks.configuration_space import Arrays
+from ..tasks.rows import dtype_of
 from .errors import ReachErrors
 
 
@@ -72,26 +73,8 @@ class SearchEnd(NamedTuple):
     """The best positions of all seeds for one target."""
 
     x: Arrays
-    error: jax.Array  # (m,)
-    free: jax.Array  # (n,)
-    slope: jax.Array  # () fraction of |J|_F |e|
     minima: jax.Array  # () number of seeds that led to a minimum
     seeds: jax.Array  # () number of seeds that were tried
-    steps: jax.Array  # ()
-
-
-class ReachState(NamedTuple):
-    """The search for one target, between two steps."""
-
-    x: Arrays
-    damping: jax.Array
-    step: jax.Array  # from this seed
-    seed: jax.Array
-    turned: jax.Array  # whether degrees of freedom at their limits were moved to the middle, for this seed
-    steps: jax.Array
-    minima: jax.Array
-    best: Arrays
-    least: jax.Array
 
 
 class Linearised(NamedTuple):
@@ -102,11 +85,32 @@ class Linearised(NamedTuple):
     curvature: jax.Array | None = None  # (n, n) S; None: it is neglected
 
 
+class ReachState(NamedTuple):
+    """The search for one target, between two steps."""
+
+    x: Arrays
+    at: Linearised
+    reached: jax.Array
+    damping: jax.Array
+    step: jax.Array  # from this seed; the start is step 0
+    seed: jax.Array
+    turned: jax.Array  # whether degrees of freedom at their limits were moved to the middle, for this seed
+    minima: jax.Array
+    best: Arrays
+    least: jax.Array
+
+
+def _count(seeds: Arrays) -> int:
+    count: int = next(iter(seeds.values())).shape[0]
+    return count
+
+
 class SeededSearch:
     """The search for one target, by the errors of its frames.
 
     It consists of two loops, because the members of a batch take the steps of a loop together: those that need second
-    derivatives go on in the second one.
+    derivatives go on in the second one. Both evaluate the errors at one place, at most once in an iteration: they are
+    most of the code of their kernels.
     """
 
     def __init__(self, errors: ReachErrors, options: SearchOptions) -> None:
@@ -120,41 +124,37 @@ class SeededSearch:
             numbers: those of `ReachErrors`, and the tolerances.
         """
         start = {name: value[0] for name, value in seeds.items()}
-        at = Linearised(*self._errors(start, targets, numbers))
-        zero, damping = jnp.zeros((), dtype=jnp.int32), jnp.asarray(self._options.damping, at.e.dtype)
-        s = ReachState(start, damping, zero, zero, zero > 0, zero, zero, start, jnp.sum(at.e * at.e))
-        return self._searched(s, at, targets, seeds, numbers, lambda s: s.step < self._options.neglecting)
+        dtype, shape = dtype_of(start), (self._errors.size, self._errors.space.mechanism.dofs)
+        at = Linearised(jnp.ones(shape[0], dtype), jnp.zeros(shape, dtype))
+        damping, least = jnp.asarray(self._options.damping, dtype), jnp.asarray(np.inf, dtype)
+        # As after the last step from a seed before the first one: an iteration begins with the first seed.
+        last, before, no, yes = jnp.int32(self._options.iterations), jnp.int32(-1), jnp.asarray(False), jnp.asarray(True)
+        s = ReachState(start, at, no, damping, last, before, yes, jnp.int32(0), start, least)
+        more = lambda s: (s.seed < 0) | (s.step < self._options.neglecting)  # noqa: E731
+        return self._searched(s, targets, seeds, numbers, more)
 
     def remaining_steps(self, s: ReachState, targets: Arrays, seeds: Arrays, numbers: Arrays) -> SearchEnd:
         """The best positions for a target, by the rest of a search."""
-        count = next(iter(seeds.values())).shape[0]
-        e, J = self._errors(s.x, targets, numbers)
-        at = Linearised(e, J, jnp.zeros((J.shape[1], J.shape[1]), e.dtype))
-        s = self._searched(s, at, targets, seeds, numbers, lambda s: s.seed < count)
-        x = self._improved(s.best, targets, numbers) if self._errors.has_secondary else s.best
-        e, J = self._errors(x, targets, numbers)
-        free, share = self._steepness(x, e, J)
-        return SearchEnd(x, e, free, share, s.minima, jnp.minimum(s.seed + 1, count), s.steps)
+        n = self._errors.space.mechanism.dofs
+        s = s._replace(at=s.at._replace(curvature=jnp.zeros((n, n), s.least.dtype)))
+        s = self._searched(s, targets, seeds, numbers, lambda s: s.seed < _count(seeds))
+        x = self._improved(s, targets, numbers) if self._errors.has_secondary else s.best
+        return SearchEnd(x, s.minima, jnp.minimum(s.seed + 1, _count(seeds)))
 
     def needs_more(self, s: ReachState, seeds: Arrays) -> jax.Array:
         """Whether a search is not over after its first steps."""
-        return (s.step >= self._options.neglecting) & (s.seed < next(iter(seeds.values())).shape[0])
+        return ~s.reached & (s.seed < _count(seeds))
 
     def _searched(
         self,
         s: ReachState,
-        at: Linearised,
         targets: Arrays,
         seeds: Arrays,
         numbers: Arrays,
         more: Callable[[ReachState], jax.Array],
     ) -> ReachState:
-        count = next(iter(seeds.values())).shape[0]
-        state: ReachState
-        state, _ = jax.lax.while_loop(
-            lambda pair: (pair[0].seed < count) & more(pair[0]) & ~self.reached(pair[1].e, numbers),
-            lambda pair: self._next(*pair, targets, seeds, numbers),
-            (s, at),
+        state: ReachState = jax.lax.while_loop(
+            lambda s: self.needs_more(s, seeds) & more(s), lambda s: self._next(s, targets, seeds, numbers), s
         )
         return state
 
@@ -181,50 +181,49 @@ class SeededSearch:
         solution: jax.Array = self._solves[size](0.0, {"G": G, "e": e})
         return solution
 
-    def _next(
-        self, s: ReachState, at: Linearised, targets: Arrays, seeds: Arrays, numbers: Arrays
-    ) -> tuple[ReachState, Linearised]:
+    def _next(self, s: ReachState, targets: Arrays, seeds: Arrays, numbers: Arrays) -> ReachState:
         """One step, or the start from the next seed."""
-        options, count = self._options, next(iter(seeds.values())).shape[0]
-        free, share = self._steepness(s.x, at.e, at.J)
+        options, at = self._options, s.at
+        free, share = self.steepness(s.x, at.e, at.J)
         minimum = share <= options.flat_in(share.dtype)
         over = minimum | (s.damping > options.most)
         turns = over & ~s.turned & ~jnp.all(free) & (s.step < options.iterations)
         ended = ~turns & (over | (s.step >= options.iterations))
         restarted = turns | ended
         seed = s.seed + ended.astype(jnp.int32)
-        fresh = {name: value[jnp.minimum(seed, count - 1)] for name, value in seeds.items()}
-        d = jnp.where(turns, self._errors.space.to_middle(s.x, ~free), self._step(s, at, free))
+        fresh = {name: value[jnp.minimum(seed, _count(seeds) - 1)] for name, value in seeds.items()}
+        d = jnp.where(turns, self._errors.space.to_middle(s.x, ~free), self._step(s, free))
         stepped = self._errors.space.moved(s.x, d)
         trial = {name: jnp.where(ended, fresh[name], value) for name, value in stepped.items()}
         e, J = self._errors(trial, targets, numbers)
-        before, after = jnp.sum(at.e * at.e), jnp.sum(e * e)
+        before, after, reached = jnp.sum(at.e * at.e), jnp.sum(e * e), self.reached(e, numbers)
         kept = restarted | (after < before)
         damping = jnp.where(kept, jnp.maximum(s.damping * options.shrink, options.least), s.damping * options.grow)
-        better = (after < s.least) | (kept & self.reached(e, numbers))
+        better = (after < s.least) | (kept & reached)
         state = ReachState(
             x={name: jnp.where(kept, value, s.x[name]) for name, value in trial.items()},
+            at=Linearised(jnp.where(kept, e, at.e), jnp.where(kept, J, at.J)),
+            reached=kept & reached,
             damping=jnp.where(restarted, options.damping, damping).astype(e.dtype),
             step=jnp.where(ended, 0, s.step + 1),
             seed=seed,
             turned=~ended & (s.turned | turns),
-            steps=s.steps + 1,
             minima=s.minima + (minimum & restarted & ~s.turned).astype(jnp.int32),
             best={name: jnp.where(better, value, s.best[name]) for name, value in trial.items()},
             least=jnp.where(better, after, s.least),
         )
-        after_step = Linearised(jnp.where(kept, e, at.e), jnp.where(kept, J, at.J))
         S = at.curvature
         if S is None:
-            return state, after_step
+            return state
         curvature = jax.lax.cond(
             kept & ~restarted & (s.step >= options.neglecting),
             lambda: self._curvature(s.x, at, d, e, J),
             lambda: jnp.where(restarted, jnp.zeros_like(S), S),
         )
-        return state, Linearised(after_step.e, after_step.J, curvature)
+        return state._replace(at=state.at._replace(curvature=curvature))
 
-    def _step(self, s: ReachState, at: Linearised, free: jax.Array) -> jax.Array:
+    def _step(self, s: ReachState, free: jax.Array) -> jax.Array:
+        at = s.at
         mu = s.damping * jnp.sum(at.e * at.e) + np.finfo(at.e.dtype).eps * jnp.sum(at.J * at.J)
         first = lambda: self.least_squares(jnp.where(free[None], at.J, 0.0), at.e, mu)  # noqa: E731
         if at.curvature is None:
@@ -267,7 +266,7 @@ class SeededSearch:
         update = missing[:, None] * y[None] + y[:, None] * missing[None] - (missing @ d) * (y[:, None] * y[None])
         return size * at.curvature + update
 
-    def _steepness(self, x: Arrays, e: jax.Array, J: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def steepness(self, x: Arrays, e: jax.Array, J: jax.Array) -> tuple[jax.Array, jax.Array]:
         """The degrees of freedom that may follow the gradient of |e|^2, and the gradient's length as a fraction of |J|
         |e|.
         """
@@ -278,16 +277,15 @@ class SeededSearch:
 
     # ---- secondary tasks ---------------------------------------------------------------------------------------------
 
-    def _improved(self, x: Arrays, targets: Arrays, numbers: Arrays) -> Arrays:
-        """Positions, starting from x, at which secondary tasks have a smaller error; x if the target is not reached.
+    def _improved(self, s: ReachState, targets: Arrays, numbers: Arrays) -> Arrays:
+        """Positions, starting from the best, at which secondary tasks have a smaller error; the best if the target is
+        not reached.
 
         A step minimises $|e_2 - J_2 d|^2 + mu |d|^2$ with $J d = 0$; the shortest step to e = 0 follows. Both are
         accepted if |e_2| decreases and the target is reached.
         """
-        options, space = self._options, self._errors.space
-        e, J = self._errors(x, targets, numbers)
-        reached, dtype = self.reached(e, numbers), e.dtype
-        eps, unit = np.finfo(dtype).eps, np.eye(J.shape[1], dtype=dtype)
+        options, space, dtype = self._options, self._errors.space, s.least.dtype
+        eps, unit = np.finfo(dtype).eps, np.eye(space.mechanism.dofs, dtype=dtype)
 
         def step(carry: Any) -> Any:
             k, x, damping, J, e2, J2 = carry
@@ -313,8 +311,8 @@ class SeededSearch:
             J, e2, J2 = (jnp.where(kept, *pair) for pair in zip((now[1], *after), carry[3:], strict=True))
             return jnp.where(over, options.iterations, k + 1), x, damping.astype(dtype), J, e2, J2
 
-        begin, damping = jnp.where(reached, 0, options.iterations), jnp.asarray(options.damping, dtype)
-        start = (begin, x, damping, J, *self._errors.secondary(x, numbers))
+        begin, damping = jnp.where(s.reached, 0, options.iterations), jnp.asarray(options.damping, dtype)
+        start = (begin, s.best, damping, s.at.J, *self._errors.secondary(s.best, numbers))
         improved: Arrays = jax.lax.while_loop(lambda carry: carry[0] < options.iterations, step, start)[1]
         return improved
 
