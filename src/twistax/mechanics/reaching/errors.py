@@ -45,8 +45,7 @@ class ReachErrors:
         space: the configuration space.
         blocks: the rows of each position, orientation and task, and of each entry of the constraints.
         turns: by block whether it is the orientation of a target.
-        size: the total number of rows.
-        residuals: as the errors of a call, but with all residuals of constraints, violated or not.
+        rows_of_tasks, size: the number of rows of the tasks, and of all.
     Raises: ModelError for unknown frames; a mechanism with loop constraints, or with joints on other groups; tasks
         whose targets are controls, or whose errors do not depend on positions.
     """
@@ -83,10 +82,10 @@ class ReachErrors:
         self.turns += [False] * (len(sizes) - len(self.turns))
         ends = [sum(sizes[:k]) for k in range(len(sizes) + 1)]
         self.blocks = [slice(*pair) for pair in itertools.pairwise(ends)]
-        self.size = ends[-1]
+        self.rows_of_tasks, self.size = sum(self._tasks.sizes), ends[-1]
         self._parameters = {leaf.name: leaf.value for leaf in parameters if leaf.value is not None}
         shared = (tuple(self.shapes.items()), tuple(self.constraints.sizes.items()), tuple(self._secondary.sizes))
-        self.residuals = jax.jit(self._residuals)  # traced once for all parts of the search
+        self._traced = jax.jit(self._residuals)  # once for all parts of a search
         self._key = (mechanism, tuple(further.sizes), *shared, *(part.key() for part in parts))
 
     def _need_positions(self, task: Task) -> None:
@@ -126,20 +125,24 @@ class ReachErrors:
         return bool(self._secondary.tasks)
 
     def __call__(self, x: Arrays, targets: Arrays, numbers: Arrays) -> tuple[jax.Array, jax.Array]:
-        """The errors e (m,) and the Jacobian J (m, n), with e' = -J qd."""
-        return self.active(*self.residuals(x, targets, numbers))
-
-    def active(self, residuals: jax.Array, J: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """The errors and their Jacobian, from all residuals and theirs: a satisfied constraint has the error zero."""
-        count = sum(self.constraints.sizes.values())
-        active = (np.arange(self.size) < self.size - count) | (residuals > 0.0)
-        return jnp.where(active, residuals, 0.0), jnp.where(active[:, None], J, 0.0)
+        """The residuals r (m,) and the matrix J (m, n), with r' = -J qd: the errors, but all residuals of constraints,
+        violated or not.
+        """
+        residuals: tuple[jax.Array, jax.Array] = self._traced(x, targets, numbers)
+        return residuals
 
     def _residuals(self, x: Arrays, targets: Arrays, numbers: Arrays) -> tuple[jax.Array, jax.Array]:
         at = {**x, **{f"target of {frame}": T for frame, T in targets.items()}}
         e, J = self._weighted(self._tasks, at, numbers, "weights")
         c, C = self.constraints(x, {}, numbers["parameters"])
         return jnp.concatenate([e, c]), jnp.concatenate([J, -C])
+
+    def active(self, r: jax.Array, J: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """The errors e (m,) and their Jacobian, from all residuals. Those of a satisfied constraint are zero."""
+        k = self.rows_of_tasks
+        violated = r[k:] > 0.0
+        c, C = jnp.where(violated, r[k:], 0.0), jnp.where(violated[:, None], J[k:], 0.0)
+        return jnp.concatenate([r[:k], c]), jnp.concatenate([J[:k], C])
 
     def secondary(self, x: Arrays, numbers: Arrays) -> tuple[jax.Array, jax.Array]:
         """The weighted errors and the Jacobian of the secondary tasks."""

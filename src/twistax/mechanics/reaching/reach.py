@@ -194,8 +194,7 @@ def reach(
     search = _Reacher.of(errors, SearchOptions(iterations), seeds, candidates)
     tolerances = {"position_tolerance": np.asarray(position_tolerance), "angle_tolerance": np.asarray(angle_tolerance)}
     first = None if start is None else _start(errors.space, start, leading)
-    result = search(arrays, first, errors.numbers(length) | tolerances)
-    return jax.tree.map(lambda a: a.reshape(*leading, *a.shape[1:]), result)
+    return search(arrays, first, errors.numbers(length) | tolerances, leading)
 
 
 def _targets(
@@ -272,7 +271,7 @@ class _Reacher:
             mechanism = errors.space.mechanism
             forward = lower({name: mechanism.pose(name) for name in self._frames})
             with jax.ensure_compile_time_eval():  # the first call may be inside a traced function
-                poses = jax.jit(jax.vmap(lambda x: forward(0.0, x)))(pool)
+                poses = jax.jit(jax.vmap(part_of_package(lambda x: forward(0.0, x))))(pool)
         self._pool = {name: value.reshape(seeds, candidates, *value.shape[1:]) for name, value in pool.items()}
         parts = [self._feature(name, np.asarray(poses[name])) for name in self._frames]
         self._features = np.concatenate([np.zeros((seeds * candidates, 0)), *parts], axis=1)
@@ -288,8 +287,8 @@ class _Reacher:
         """Each search is compiled once and cached."""
         return _Reacher(*arguments)
 
-    def __call__(self, targets: Arrays, start: Arrays | None, numbers: Arrays) -> ReachResult:
-        result: ReachResult = self._call(targets, start, numbers, len(next(iter(targets.values()), [None])))
+    def __call__(self, targets: Arrays, start: Arrays | None, numbers: Arrays, leading: tuple[int, ...]) -> ReachResult:
+        result: ReachResult = self._call(targets, start, numbers, leading)
         return result
 
     def _feature(self, frame: str, T: Any) -> Any:
@@ -316,16 +315,18 @@ class _Reacher:
         rows = jnp.arange(self._seeds)[None]
         return {name: jnp.asarray(value, dtype=wanted.dtype)[rows, best] for name, value in self._pool.items()}
 
-    def _all(self, targets: Arrays, start: Arrays | None, numbers: Arrays, count: int) -> ReachResult:
+    def _all(self, targets: Arrays, start: Arrays | None, numbers: Arrays, leading: tuple[int, ...]) -> ReachResult:
+        """The result for targets (count, ...), with leading axes."""
         # Only the last step is differentiated.
         still = jax.tree.map(jax.lax.stop_gradient, targets)
-        seeds = self._chosen(still, numbers["length"], count)
+        seeds = self._chosen(still, numbers["length"], math.prod(leading))
         dtype = next(iter(seeds.values())).dtype
         numbers = jax.tree.map(lambda value: jnp.asarray(value, dtype), numbers)
         if start is not None:
             seeds = {n: s.at[:, 0].set(jax.lax.stop_gradient(start[n]).astype(s.dtype)) for n, s in seeds.items()}
         solution = jax.tree.map(jax.lax.stop_gradient, self._solutions(still, seeds, numbers))
-        return jax.vmap(self._last_step, (0, 0, None))(targets, solution, numbers)
+        result = jax.vmap(self._last_step, (0, 0, None))(targets, solution, numbers)
+        return jax.tree.map(lambda a: a.reshape(*leading, *a.shape[1:]), result)
 
     def _solutions(self, targets: Arrays, seeds: Arrays, numbers: Arrays) -> SearchEnd:
         """The searches for all targets. Those that go on are neighbours: a kernel takes the steps of neighbours
@@ -338,36 +339,36 @@ class _Reacher:
         places = jnp.argsort(order)
         return jax.tree.map(lambda a: a[places], solution)
 
-    def _polished(self, targets: Arrays, solution: SearchEnd, numbers: Arrays) -> ReachResult:
+    def _polished(self, targets: Arrays, end: SearchEnd, numbers: Arrays) -> ReachResult:
         """For one target: a last Gauss-Newton step if it is reached, and the attributes of the result."""
-        space, fixed, tasks = self.errors.space, jax.lax.stop_gradient, self.errors.size - len(self._constraints)
-        residuals, slopes = self.errors.residuals(solution.x, targets, numbers)
-        e, J = self.errors.active(residuals, fixed(slopes))
-        reached = self._search.reached(fixed(e), numbers)
-        free, slope = self._search.steepness(solution.x, fixed(e), J)
+        search, fixed = self._search, jax.lax.stop_gradient
+        e, J = self.errors.active(end.r, end.J)
+        reached, (free, slope) = search.reached(e, numbers), search.steepness(end.x, e, J)
         open_J = jnp.where(free[None], J, 0.0)
         size = jnp.sum(open_J * open_J)
         mu = jnp.where(size > 0.0, np.finfo(e.dtype).eps * size, 1.0)  # a target on the base depends on no joint
-        step = jnp.where(reached, self._search.least_squares(open_J, e, mu), 0.0)
+        step = jnp.where(reached, search.least_squares(open_J, e, mu), 0.0)
+        r, _ = self.errors(self.errors.space.moved(end.x, step), targets, numbers)
+        after, _ = self.errors.active(r, end.J)
         # Near a singular configuration the step may increase the error: then it is not taken, but its derivatives are
         # kept.
-        residuals_after, _ = self.errors.residuals(space.moved(solution.x, fixed(step)), targets, numbers)
-        after, _ = fixed(self.errors.active(residuals_after, slopes))
-        worse = (jnp.sum(after * after) > jnp.sum(fixed(e * e))) | ~self._search.reached(after, numbers)
-        x = space.moved(solution.x, step - fixed(jnp.where(worse, step, 0.0)))
-        residuals = jnp.where(worse, residuals, residuals_after) - fixed(slopes) @ (step - fixed(step))
-        distance, angle = self._measures(residuals[:tasks], numbers["length"])
+        worse = (jnp.sum(after * after) > jnp.sum(e * e)) | ~search.reached(after, numbers)
+        # Of the value zero, with the derivatives of the solution with respect to the targets.
+        change = jnp.where(reached, search.least_squares(open_J, after - fixed(after), mu), 0.0)
+        x = self.errors.space.moved(end.x, jnp.where(worse, 0.0, step) + change)
+        r = jnp.where(worse, end.r - fixed(r), 0.0) + r - end.J @ change
+        distance, angle = self._measures(r[: self.errors.rows_of_tasks], numbers["length"])
         # First-order conditions: a limit without a multiplier is not the cause.
         scale = jnp.sqrt(jnp.maximum(jnp.sum(J * J) * jnp.sum(e * e), np.finfo(e.dtype).tiny))
         multiplier = jnp.where(free, 0.0, jnp.abs(J.T @ e) / scale)
         flat = self._options.flat_in(e.dtype)
         at_minimum = ~reached & (slope <= flat)
         at_limit = at_minimum & (multiplier > _SIGNIFICANT * flat)
-        certain = at_minimum & (solution.minima == self._seeds)
+        certain = at_minimum & (end.minima == self._seeds)
         missed = jnp.where(certain, int(ReachStatus.UNREACHABLE), int(ReachStatus.MAX_ITERATIONS))
         missed = jnp.where(jnp.any(at_limit), int(ReachStatus.LIMIT), missed)
         status = jnp.where(reached, int(ReachStatus.REACHED), missed)
-        measures = (slope, solution.minima, solution.seeds, residuals[tasks:])
+        measures = (slope, end.minima, end.seeds, r[self.errors.rows_of_tasks :])
         names = (self._frames, self.errors.space.joints, self._constraints)
         return ReachResult(x, status, distance, angle, at_limit, *measures, *names)
 

@@ -70,26 +70,22 @@ class SearchOptions:
 
 
 class SearchEnd(NamedTuple):
-    """The best positions of all seeds for one target."""
+    """The best positions of all seeds for one target, with the residuals r and J there."""
 
     x: Arrays
+    r: jax.Array
+    J: jax.Array
     minima: jax.Array  # () number of seeds that led to a minimum
     seeds: jax.Array  # () number of seeds that were tried
 
 
-class Linearised(NamedTuple):
-    """The errors at the positions of a state, and what approximates their derivatives."""
-
-    e: jax.Array
-    J: jax.Array
-    curvature: jax.Array | None = None  # (n, n) S; None: it is neglected
-
-
 class ReachState(NamedTuple):
-    """The search for one target, between two steps."""
+    """The search for one target, between two steps. If it is over, x are the best positions."""
 
     x: Arrays
-    at: Linearised
+    r: jax.Array  # the residuals of `ReachErrors` at x
+    J: jax.Array
+    curvature: jax.Array | None  # (n, n) S; None: it is neglected
     reached: jax.Array
     damping: jax.Array
     step: jax.Array  # from this seed; the start is step 0
@@ -124,22 +120,32 @@ class SeededSearch:
             numbers: those of `ReachErrors`, and the tolerances.
         """
         start = {name: value[0] for name, value in seeds.items()}
-        dtype, shape = dtype_of(start), (self._errors.size, self._errors.space.mechanism.dofs)
-        at = Linearised(jnp.ones(shape[0], dtype), jnp.zeros(shape, dtype))
-        damping, least = jnp.asarray(self._options.damping, dtype), jnp.asarray(np.inf, dtype)
-        # As after the last step from a seed before the first one: an iteration begins with the first seed.
-        last, before, no, yes = jnp.int32(self._options.iterations), jnp.int32(-1), jnp.asarray(False), jnp.asarray(True)
-        s = ReachState(start, at, no, damping, last, before, yes, jnp.int32(0), start, least)
+        dtype, m, n = dtype_of(start), self._errors.size, self._errors.space.mechanism.dofs
+        # As after the last step from a seed before the first one: the first iteration starts from the first seed.
+        s = ReachState(
+            x=start,
+            r=jnp.ones(m, dtype),
+            J=jnp.zeros((m, n), dtype),
+            curvature=None,
+            reached=jnp.asarray(False),
+            damping=jnp.asarray(self._options.damping, dtype),
+            step=jnp.int32(self._options.iterations),
+            seed=jnp.int32(-1),
+            turned=jnp.asarray(True),
+            minima=jnp.int32(0),
+            best=start,
+            least=jnp.asarray(np.inf, dtype),
+        )
         more = lambda s: (s.seed < 0) | (s.step < self._options.neglecting)  # noqa: E731
         return self._searched(s, targets, seeds, numbers, more)
 
     def remaining_steps(self, s: ReachState, targets: Arrays, seeds: Arrays, numbers: Arrays) -> SearchEnd:
         """The best positions for a target, by the rest of a search."""
         n = self._errors.space.mechanism.dofs
-        s = s._replace(at=s.at._replace(curvature=jnp.zeros((n, n), s.least.dtype)))
+        s = s._replace(curvature=jnp.zeros((n, n), s.least.dtype))
         s = self._searched(s, targets, seeds, numbers, lambda s: s.seed < _count(seeds))
-        x = self._improved(s, targets, numbers) if self._errors.has_secondary else s.best
-        return SearchEnd(x, s.minima, jnp.minimum(s.seed + 1, _count(seeds)))
+        best = self._improved(s, targets, numbers) if self._errors.has_secondary else (s.x, s.r, s.J)
+        return SearchEnd(*best, s.minima, jnp.minimum(s.seed + 1, _count(seeds)))
 
     def needs_more(self, s: ReachState, seeds: Arrays) -> jax.Array:
         """Whether a search is not over after its first steps."""
@@ -182,28 +188,42 @@ class SeededSearch:
         return solution
 
     def _next(self, s: ReachState, targets: Arrays, seeds: Arrays, numbers: Arrays) -> ReachState:
-        """One step, or the start from the next seed."""
-        options, at = self._options, s.at
-        free, share = self.steepness(s.x, at.e, at.J)
+        """One step, the start from the next seed, or the return to the best positions after the last one."""
+        options, count = self._options, _count(seeds)
+        e, J = self._errors.active(s.r, s.J)
+        free, share = self.steepness(s.x, e, J)
         minimum = share <= options.flat_in(share.dtype)
         over = minimum | (s.damping > options.most)
         turns = over & ~s.turned & ~jnp.all(free) & (s.step < options.iterations)
         ended = ~turns & (over | (s.step >= options.iterations))
         restarted = turns | ended
         seed = s.seed + ended.astype(jnp.int32)
-        fresh = {name: value[jnp.minimum(seed, _count(seeds) - 1)] for name, value in seeds.items()}
-        d = jnp.where(turns, self._errors.space.to_middle(s.x, ~free), self._step(s, free))
+        d = jnp.where(turns, self._errors.space.to_middle(s.x, ~free), self._step(s, e, J, free))
         stepped = self._errors.space.moved(s.x, d)
+        fresh = {name: value[jnp.minimum(seed, count - 1)] for name, value in seeds.items()}
+        fresh = {name: jnp.where(seed < count, value, s.best[name]) for name, value in fresh.items()}
         trial = {name: jnp.where(ended, fresh[name], value) for name, value in stepped.items()}
-        e, J = self._errors(trial, targets, numbers)
-        before, after, reached = jnp.sum(at.e * at.e), jnp.sum(e * e), self.reached(e, numbers)
+        residuals, slopes = self._errors(trial, targets, numbers)
+        new_e, new_J = self._errors.active(residuals, slopes)
+        before, after = jnp.sum(e * e), jnp.sum(new_e * new_e)
         kept = restarted | (after < before)
+        reached = kept & self.reached(new_e, numbers)
         damping = jnp.where(kept, jnp.maximum(s.damping * options.shrink, options.least), s.damping * options.grow)
-        better = (after < s.least) | (kept & reached)
-        state = ReachState(
+        better = (after < s.least) | reached
+        S = s.curvature
+        if S is not None:
+            S = jax.lax.cond(
+                kept & ~restarted & (s.step >= options.neglecting),
+                lambda S: self._curvature(S, s.x, d, (e, J), (new_e, new_J)),
+                lambda S: jnp.where(restarted, jnp.zeros_like(S), S),
+                S,
+            )
+        return ReachState(
             x={name: jnp.where(kept, value, s.x[name]) for name, value in trial.items()},
-            at=Linearised(jnp.where(kept, e, at.e), jnp.where(kept, J, at.J)),
-            reached=kept & reached,
+            r=jnp.where(kept, residuals, s.r),
+            J=jnp.where(kept, slopes, s.J),
+            curvature=S,
+            reached=reached,
             damping=jnp.where(restarted, options.damping, damping).astype(e.dtype),
             step=jnp.where(ended, 0, s.step + 1),
             seed=seed,
@@ -212,33 +232,22 @@ class SeededSearch:
             best={name: jnp.where(better, value, s.best[name]) for name, value in trial.items()},
             least=jnp.where(better, after, s.least),
         )
-        S = at.curvature
-        if S is None:
-            return state
-        curvature = jax.lax.cond(
-            kept & ~restarted & (s.step >= options.neglecting),
-            lambda: self._curvature(s.x, at, d, e, J),
-            lambda: jnp.where(restarted, jnp.zeros_like(S), S),
-        )
-        return state._replace(at=state.at._replace(curvature=curvature))
 
-    def _step(self, s: ReachState, free: jax.Array) -> jax.Array:
-        at = s.at
-        mu = s.damping * jnp.sum(at.e * at.e) + np.finfo(at.e.dtype).eps * jnp.sum(at.J * at.J)
-        first = lambda: self.least_squares(jnp.where(free[None], at.J, 0.0), at.e, mu)  # noqa: E731
-        if at.curvature is None:
+    def _step(self, s: ReachState, e: jax.Array, J: jax.Array, free: jax.Array) -> jax.Array:
+        mu = s.damping * jnp.sum(e * e) + np.finfo(e.dtype).eps * jnp.sum(J * J)
+        first = lambda: self.least_squares(jnp.where(free[None], J, 0.0), e, mu)  # noqa: E731
+        if s.curvature is None:
             return first()
-        later = lambda: self._newton_step(s.x, at, free, mu)  # noqa: E731
+        H = J.T @ J + s.curvature + mu * np.eye(len(free), dtype=e.dtype)
+        later = lambda: self._newton_step(s.x, H, J.T @ e, free)  # noqa: E731
         return jax.lax.cond(s.step >= self._options.neglecting, later, first)
 
-    def _newton_step(self, x: Arrays, at: Linearised, free: jax.Array, mu: jax.Array) -> jax.Array:
+    def _newton_step(self, x: Arrays, H: jax.Array, slope: jax.Array, free: jax.Array) -> jax.Array:
         """The step with second derivatives. Degrees of freedom that would leave their limits end at them, and the step
         of the others is computed again.
         """
-        assert at.curvature is not None
-        unit = np.eye(len(free), dtype=at.e.dtype)
-        H, slope = at.J.T @ at.J + at.curvature + mu * unit, at.J.T @ at.e
-        above, below = self._errors.space.margins(x, at.e.dtype)
+        unit = np.eye(len(free), dtype=slope.dtype)
+        above, below = self._errors.space.margins(x, slope.dtype)
 
         def solved(free: jax.Array, fixed: jax.Array) -> jax.Array:
             open_H = jnp.where(free[:, None] & free[None], H, unit)
@@ -249,22 +258,24 @@ class SeededSearch:
         end = jnp.where(outside, jnp.clip(d, -above, below), 0.0)
         return jax.lax.cond(jnp.any(outside), lambda: solved(free & ~outside, end), lambda: d)
 
-    def _curvature(self, x: Arrays, at: Linearised, d: jax.Array, e: jax.Array, J: jax.Array) -> jax.Array:
-        """The approximation S after an accepted step d to a point with e and J. It agrees with their change along the
-        step: $S d = (J_0 - J)^T e$.
+    def _curvature(
+        self, S: jax.Array, x: Arrays, d: jax.Array, start: tuple[jax.Array, ...], end: tuple[jax.Array, ...]
+    ) -> jax.Array:
+        """The approximation S after an accepted step d between points with e and J. It agrees with their change along
+        the step: $S d = (J_0 - J)^T e$.
         """
-        assert at.curvature is not None
+        (e0, J0), (e, J) = start, end
         above, below = self._errors.space.margins(x, e.dtype)
         d = jnp.clip(d, -above, below)
-        change, second = at.J.T @ at.e - J.T @ e, (at.J - J).T @ e
-        before = at.curvature @ d
+        change, second = J0.T @ e0 - J.T @ e, (J0 - J).T @ e
+        before = S @ d
         size = jnp.abs(d @ second) / jnp.maximum(jnp.abs(d @ before), np.finfo(e.dtype).tiny)
         size = jnp.minimum(size, 1.0)
         convex = d @ change > np.finfo(e.dtype).eps * jnp.sum(d * d)
         y = jnp.where(convex, change / jnp.where(convex, d @ change, 1.0), 0.0)
         missing = second - size * before
         update = missing[:, None] * y[None] + y[:, None] * missing[None] - (missing @ d) * (y[:, None] * y[None])
-        return size * at.curvature + update
+        return size * S + update
 
     def steepness(self, x: Arrays, e: jax.Array, J: jax.Array) -> tuple[jax.Array, jax.Array]:
         """The degrees of freedom that may follow the gradient of |e|^2, and the gradient's length as a fraction of |J|
@@ -277,18 +288,19 @@ class SeededSearch:
 
     # ---- secondary tasks ---------------------------------------------------------------------------------------------
 
-    def _improved(self, s: ReachState, targets: Arrays, numbers: Arrays) -> Arrays:
-        """Positions, starting from the best, at which secondary tasks have a smaller error; the best if the target is
-        not reached.
+    def _improved(self, s: ReachState, targets: Arrays, numbers: Arrays) -> tuple[Arrays, jax.Array, jax.Array]:
+        """Positions at which secondary tasks have a smaller error, with r and J there, starting from the end of a
+        search; the end if the target is not reached.
 
         A step minimises $|e_2 - J_2 d|^2 + mu |d|^2$ with $J d = 0$; the shortest step to e = 0 follows. Both are
         accepted if |e_2| decreases and the target is reached.
         """
         options, space, dtype = self._options, self._errors.space, s.least.dtype
-        eps, unit = np.finfo(dtype).eps, np.eye(space.mechanism.dofs, dtype=dtype)
+        active, eps, unit = self._errors.active, np.finfo(dtype).eps, np.eye(space.mechanism.dofs, dtype=dtype)
 
         def step(carry: Any) -> Any:
-            k, x, damping, J, e2, J2 = carry
+            k, x, damping, r, J, e2, J2 = carry
+            _, J = active(r, J)
             free = space.free(x, self._along(J, J2.T @ e2))
             J, J2 = (jnp.where(free[None], rows, 0.0) for rows in (J, J2))
             slope, before, size = J2.T @ e2, jnp.sum(e2 * e2), jnp.sum(J2 * J2)
@@ -297,24 +309,24 @@ class SeededSearch:
             weight = (size + mu) / (np.sqrt(eps) * jnp.maximum(jnp.sum(J * J), np.finfo(dtype).tiny))
             d = self._along(J, self._solve(J2.T @ J2 + weight * (J.T @ J) + mu * unit, slope))
             trial = space.moved(x, d)
-            off, J_off = self._errors(trial, targets, numbers)
+            off, J_off = active(*self._errors(trial, targets, numbers))
             trial = space.moved(trial, self._shortest(jnp.where(free[None], J_off, 0.0), off))
             now, after = self._errors(trial, targets, numbers), self._errors.secondary(trial, numbers)
             predicted, decrease = 2.0 * slope @ d - jnp.sum((J2 @ d) ** 2), before - jnp.sum(after[0] ** 2)
-            kept = self.reached(now[0], numbers) & (decrease > 0.0)
+            kept = self.reached(active(*now)[0], numbers) & (decrease > 0.0)
             # Of a large error the second derivatives count: the decrease shows them.
             shorter, longer = ~kept | (decrease < 0.25 * predicted), decrease > 0.75 * predicted
             damping = damping * jnp.where(shorter, options.grow, jnp.where(longer, options.shrink, 1.0))
             over = (predicted <= eps ** (2.0 / 3.0) * before) | (damping > options.most)
             damping = jnp.maximum(damping, options.least)
             x = {name: jnp.where(kept, trial[name], value) for name, value in x.items()}
-            J, e2, J2 = (jnp.where(kept, *pair) for pair in zip((now[1], *after), carry[3:], strict=True))
-            return jnp.where(over, options.iterations, k + 1), x, damping.astype(dtype), J, e2, J2
+            rest = (jnp.where(kept, *pair) for pair in zip((*now, *after), carry[3:], strict=True))
+            return jnp.where(over, options.iterations, k + 1), x, damping.astype(dtype), *rest
 
         begin, damping = jnp.where(s.reached, 0, options.iterations), jnp.asarray(options.damping, dtype)
-        start = (begin, s.best, damping, s.at.J, *self._errors.secondary(s.best, numbers))
-        improved: Arrays = jax.lax.while_loop(lambda carry: carry[0] < options.iterations, step, start)[1]
-        return improved
+        start = (begin, s.x, damping, s.r, s.J, *self._errors.secondary(s.x, numbers))
+        _, x, _, r, J, *_ = jax.lax.while_loop(lambda carry: carry[0] < options.iterations, step, start)
+        return x, r, J
 
     def _shortest(self, J: jax.Array, e: jax.Array) -> jax.Array:
         """The shortest step d with J d = e, in the sense of least squares."""
