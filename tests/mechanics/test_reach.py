@@ -1,5 +1,6 @@
 """Inverse kinematics: poses that are reached, limits that stop it, distances that are left, and derivatives."""
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -79,10 +80,25 @@ def test_a_limit_stops_the_nearest_position() -> None:
     assert np.allclose(result.x["q"], [1.0])
     assert np.allclose(result.distance, 2.0 * np.sin(0.5))  # a chord
     assert repr(result) == "ReachResult(LIMIT; 'tip' at most 0.96 m from its target)"
+    turned = dataclasses.replace(result, angle=jnp.full(1, 0.25))
+    assert repr(turned) == "ReachResult(LIMIT; 'tip' at most 0.96 m and 0.25 rad from its target)"
     inside = reach(arm, {"tip": np.array([np.cos(0.7), np.sin(0.7), 0.0])})
     assert inside.status == ReachStatus.REACHED
     assert inside.stopped_by() == ()
     assert np.allclose(inside.x["q"], [0.7])
+    # A batch has the results of its members.
+    beyond = reach(arm, {"tip": 3.0 * np.array([np.cos(0.4), np.sin(0.4), 0.0])})
+    assert beyond.status == ReachStatus.UNREACHABLE
+    single, kinds = (inside, result, beyond), np.array([0, 1, 2, 1, 0, 2, 2, 1, 0, 0])
+    points = np.stack([[np.cos(0.7), np.sin(0.7), 0.0], target, [3.0 * np.cos(0.4), 3.0 * np.sin(0.4), 0.0]])
+    mixed = reach(arm, {"tip": points[kinds].reshape(5, 2, 3)})
+    for name in ("status", "distance", "at_limit", "minima", "seeds"):
+        alone = np.stack([getattr(one, name) for one in single])
+        values = np.asarray(getattr(mixed, name))
+        np.testing.assert_allclose(values, alone[kinds].reshape(values.shape), atol=1e-9, err_msg=name)
+    np.testing.assert_allclose(
+        np.asarray(mixed.x["q"]).ravel(), np.concatenate([one.x["q"] for one in single])[kinds], atol=1e-9
+    )
 
 
 def test_what_is_too_far_is_a_minimum_of_all_seeds() -> None:
@@ -214,6 +230,15 @@ def test_precision_is_that_of_the_target() -> None:
     result = reach(arm, {"tip": targets.astype(np.float32)})
     assert result.x["q"].dtype == np.float32
     assert np.asarray(result.status).tolist() == [ReachStatus.REACHED] + 8 * [ReachStatus.UNREACHABLE]
+
+
+def test_traced_targets_that_are_not_poses_are_named() -> None:
+    arm = planar_arm((-3.0, 3.0))
+    status = jax.jit(lambda T: reach(arm, {"tip": T}).status)
+    wrong = [np.diag([1.0, 1.0, -1.0, 1.0]), 2.0 * np.eye(4), np.full((4, 4), np.nan)]
+    right = tx.pose(position=[np.cos(0.7), np.sin(0.7), 0.0], euler=[0.0, 0.0, 0.7])
+    expected = [ReachStatus.INVALID_TARGET] * 3 + [ReachStatus.REACHED]
+    assert np.asarray(status(np.stack([*wrong, right]))).tolist() == expected
 
 
 def test_what_cannot_be_asked_for(unchecked: None) -> None:

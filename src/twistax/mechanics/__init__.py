@@ -44,7 +44,8 @@ from .identification.physical_inertia import log_cholesky, physical_inertia
 from .identification.regressor import Regressor, inverse_dynamics_regressor
 from .mechanism import Chain, Mechanism
 from .models import DaveModel, load, load_daveml
-from .reaching.reach import ReachResult, ReachStatus, reach
+from .reaching.reach import reach
+from .reaching.result import ReachResult, ReachStatus
 from .tasks.frame import FrameTask, OrientationTask, PositionTask
 from .tasks.look_at import LookAtTask
 from .tasks.manipulability import ManipulabilityTask

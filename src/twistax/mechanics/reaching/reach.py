@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
-import enum
 import functools
 import math
-from collections import Counter
 from collections.abc import Iterable, Mapping
-from typing import Any, SupportsIndex
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -27,94 +24,13 @@ from ..tasks.configuration_space import Arrays, ConfigurationSpace
 from ..tasks.rows import task_list
 from ..tasks.task import Task
 from .errors import ReachErrors
+from .result import ReachResult, ReachStatus
 from .solver import SearchEnd, SearchOptions, SeededSearch
 
 #: The tolerance of a target's matrix to be a pose.
 _NEARLY = 1e-4
 #: A multiplier within this factor of what is left of the gradient is not distinguishable from zero.
 _SIGNIFICANT = 10.0
-
-
-class ReachStatus(enum.IntEnum):
-    """The status of inverse kinematics for one target.
-
-    - `REACHED`: all frames are at their targets within the tolerances, all tasks are satisfied, and all constraints
-      hold.
-    - `LIMIT`: the best seed ended at a local minimum of the error within the joint limits, and without some of them the
-      error would decrease further; `at_limit` marks these joints.
-    - `UNREACHABLE`: every seed led to a local minimum of the error, and no joint limit keeps the best one from the
-      target, as where an arm is stretched. `distance` is what remains.
-    - `MAX_ITERATIONS`: a seed, or the best one, was not at a local minimum after the largest number of iterations, so
-      nothing is known about the target; more `iterations` decide it.
-    """
-
-    REACHED = 0
-    LIMIT = 1
-    UNREACHABLE = 2
-    MAX_ITERATIONS = 3
-
-
-@functools.partial(
-    jax.tree_util.register_dataclass,
-    data_fields=["x", "status", "distance", "angle", "at_limit", "slope", "minima", "seeds", "constraints"],
-    meta_fields=["frames", "joints", "constraint_names"],
-)
-@dataclasses.dataclass(frozen=True)
-class ReachResult:
-    """The result of `reach`, with the leading axes of the targets.
-
-    Attributes:
-        x: positions by state, "q" (..., w) and "<joint>_position" on groups, in the form that `tx.integrate` reads.
-        status: (...,), the numbers of `ReachStatus`.
-        distance: (..., frames), m: distance from the origin of each frame to its target.
-        angle: (..., frames), rad: angle between the axes of each frame and of its target; zero for targets that are
-            positions.
-        at_limit: (..., n): at a local minimum the degrees of freedom that would reduce the error but are at a limit:
-            those of which the multiplier $|J_i^T e| / (|J| |e|)$ is not zero. One below 1e-3 counts as zero, in float32
-            one below 7e-3.
-        slope: (...,): $|P J^T e| / (|J| |e|)$, with P the projection onto the directions that limits permit. It is at
-            most 1e-4 at a local minimum, in float32 7e-4, and meaningless if the target is reached.
-        minima: (...,): the number of seeds that led to a local minimum.
-        seeds: (...,): the number of seeds that were tried.
-        constraints: (..., k): residuals of the constraints, satisfied if not positive.
-        frames: names of the frames, in the order of the last axis of `distance`.
-        joints: the name of the joint for each degree of freedom.
-        constraint_names: the name of each residual.
-    """
-
-    x: dict[str, jax.Array]
-    status: jax.Array
-    distance: jax.Array
-    angle: jax.Array
-    at_limit: jax.Array
-    slope: jax.Array
-    minima: jax.Array
-    seeds: jax.Array
-    constraints: jax.Array
-    frames: tuple[str, ...]
-    joints: tuple[str, ...]
-    constraint_names: tuple[str, ...]
-
-    def __repr__(self) -> str:
-        if is_traced(self.status) or not isinstance(self.status, (np.ndarray, jax.Array)):
-            return f"ReachResult({', '.join(self.frames)})"
-        counts = Counter(ReachStatus(int(status)).name for status in np.ravel(self.status))
-        statuses = ", ".join(f"{count} {name}" if np.ndim(self.status) else name for name, count in counts.items())
-        largest = np.max(self.distance, axis=tuple(range(np.ndim(self.distance) - 1)), initial=0.0)
-        left = [f"{frame!r} at most {d:.2g} m from its target" for frame, d in zip(self.frames, largest, strict=True)]
-        return f"ReachResult({'; '.join([statuses, *left])})"
-
-    def stopped_by(self, *index: SupportsIndex) -> tuple[str, ...]:
-        """The joints that would reduce the error for one target but are at a limit, for the best seed."""
-        stopped = np.asarray(self.at_limit)
-        if len(index) != stopped.ndim - 1 or any(not -n <= i < n for i, n in zip(index, stopped.shape, strict=False)):
-            raise InputError(f"stopped_by expects an index into {stopped.shape[:-1]}, got {index}")
-        return tuple(dict.fromkeys(self.joints[i] for i in np.flatnonzero(stopped[index])))
-
-    def broken(self, *index: SupportsIndex, tolerance: float = 1e-5) -> tuple[str, ...]:
-        """The names of the constraints that the positions for one target violate by more than a tolerance."""
-        over = np.flatnonzero(np.asarray(self.constraints[index]) > tolerance)
-        return tuple(dict.fromkeys(self.constraint_names[i] for i in over))
 
 
 @watching("reach")
@@ -227,15 +143,22 @@ def _check(frame: str, T: np.ndarray) -> None:
     if not np.isfinite(T).all():
         finite = np.isfinite(T).reshape(len(T), -1).all(axis=1)
         raise InputError(f"reach expects finite targets, got as target of {frame!r}\n{T[~finite][0]}")
-    if T.ndim == 3 and len(T):
-        R = T[:, :3, :3]
-        off = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)[None]).max(axis=(1, 2)) + np.abs(np.linalg.det(R) - 1.0)
-        off += np.abs(T[:, 3] - np.eye(4)[None, 3]).max(axis=1)
-        if off.max() > _NEARLY:
-            raise InputError(
-                f"reach expects poses [R p; 0 1] as targets of {frame!r}, got\n{T[np.argmax(off)]}\n"
-                "  fix: tx.pose(...) builds one"
-            )
+    if (invalid := _is_invalid(T)).any():
+        raise InputError(
+            f"reach expects poses [R p; 0 1] as targets of {frame!r}, got\n{T[invalid][0]}\n"
+            "  fix: tx.pose(...) builds one"
+        )
+
+
+def _is_invalid(T: Any) -> Any:
+    """Whether targets (..., 3) are not finite, or targets (..., 4, 4) are not poses, (...)."""
+    xp: Any = jnp if is_traced(T) else np
+    if T.shape[-1] == 3:
+        return ~xp.isfinite(T).all(axis=-1)
+    R = T[..., :3, :3]
+    off = xp.abs(xp.swapaxes(R, -1, -2) @ R - np.eye(3, dtype=T.dtype)).max(axis=(-2, -1))
+    off = off + xp.abs(xp.linalg.det(R) - 1.0) + xp.abs(T[..., 3, :] - np.eye(4, dtype=T.dtype)[3]).max(axis=-1)
+    return ~((off <= _NEARLY) & xp.isfinite(T[..., :3, 3]).all(axis=-1))
 
 
 def _start(space: ConfigurationSpace, start: Mapping[str, Any], leading: tuple[int, ...]) -> Arrays:
@@ -368,6 +291,8 @@ class _Reacher:
         missed = jnp.where(certain, int(ReachStatus.UNREACHABLE), int(ReachStatus.MAX_ITERATIONS))
         missed = jnp.where(jnp.any(at_limit), int(ReachStatus.LIMIT), missed)
         status = jnp.where(reached, int(ReachStatus.REACHED), missed)
+        for T in targets.values():
+            status = jnp.where(_is_invalid(T), int(ReachStatus.INVALID_TARGET), status)
         measures = (slope, end.minima, end.seeds, r[self.errors.rows_of_tasks :])
         names = (self._frames, self.errors.space.joints, self._constraints)
         return ReachResult(x, status, distance, angle, at_limit, *measures, *names)
