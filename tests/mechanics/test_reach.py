@@ -103,15 +103,16 @@ def test_a_limit_stops_the_nearest_position() -> None:
 
 def test_what_is_too_far_is_a_minimum_of_all_seeds() -> None:
     arm = planar_arm((-3.0, 3.0), (-3.0, 3.0))
-    targets = np.array([[2.0, 1.0, 0.0], [0.0, 2.5, 0.0], [1.0, 1.0, 0.5], [1.2, 0.3, 0.0]])
+    # The reached target is first: the search goes on with the others before it.
+    targets = np.array([[1.2, 0.3, 0.0], [2.0, 1.0, 0.0], [0.0, 2.5, 0.0], [1.0, 1.0, 0.5]])
     result = reach(arm, {"tip": targets})
-    assert np.asarray(result.status).tolist() == [ReachStatus.UNREACHABLE] * 3 + [ReachStatus.REACHED]
-    assert np.allclose(result.distance[:3, 0], [np.sqrt(5.0) - 2.0, 0.5, 0.5], atol=1e-7)
-    assert np.all(np.asarray(result.slope)[:3] <= 1e-4)
-    assert np.all(np.asarray(result.minima)[:3] == 8)
+    assert np.asarray(result.status).tolist() == [ReachStatus.REACHED] + [ReachStatus.UNREACHABLE] * 3
+    assert np.allclose(result.distance[1:, 0], [np.sqrt(5.0) - 2.0, 0.5, 0.5], atol=1e-7)
+    assert np.all(np.asarray(result.slope)[1:] <= 1e-4)
+    assert np.all(np.asarray(result.minima)[1:] == 8)
     q = np.asarray(result.x["q"])
     x, y = np.cos(q[:, 0]) + np.cos(q.sum(axis=1)), np.sin(q[:, 0]) + np.sin(q.sum(axis=1))
-    assert np.allclose([x[3], y[3]], targets[3, :2], atol=1e-5)
+    assert np.allclose([x[0], y[0]], targets[0, :2], atol=1e-5)
 
 
 def test_searches_of_what_is_out_of_reach_end_at_minima() -> None:

@@ -30,7 +30,7 @@ class ReachStatus(enum.IntEnum):
     - `MAX_ITERATIONS`: a seed, or the best one, was not at a local minimum after the largest number of iterations, so
       nothing is known about the target; more `iterations` decide it.
     - `INVALID_TARGET`: within a traced function, a target is not finite, or a matrix that is not a pose. Outside of it
-      such a target raises InputError.
+      `reach` does not accept such a target.
     """
 
     REACHED = 0
