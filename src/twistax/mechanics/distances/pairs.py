@@ -90,12 +90,13 @@ def clearances(
     skipped = _pairs_of_names(ignored, frames | {name: name for name in mechanism.frames})
     if srdf is not None:
         skipped |= _disabled_pairs(srdf, mechanism)
+    poses = {name: mechanism.pose(name) for name in by_frame}
     distances, table = dict[str, Expr](), _table([*by_frame.values(), *by_obstacle.values()])
     functions = dict[Hashable, Function]()
     for a, b in itertools.combinations([*by_frame, *by_obstacle], 2):
         if frozenset((frames[a], frames[b])) in skipped or not _may_touch(mechanism, places[a], places[b]):
             continue
-        T_a, T_b = (mechanism.pose(name) if name in by_frame else None for name in (a, b))
+        T_a, T_b = poses.get(a), poses.get(b)
         shapes = itertools.product(*({**by_frame, **by_obstacle}[name] for name in (a, b)))
         pairs = [_distance(one, two, T_a, T_b, far, table, functions) for one, two in shapes]
         name = f"{a}-{b}"
@@ -221,9 +222,11 @@ def _may_touch(mechanism: KinematicTree, a: int | None, b: int | None) -> bool:
 
 
 def _table(solids: Iterable[Iterable[Solid]]) -> PolytopeTable | None:
-    """The table of all solids that have one, if there are several polytopes or boxes."""
-    every = [solid for some in solids for solid in some if not isinstance(solid, (*_UNBOUNDED, Cylinder))]
-    if sum(isinstance(solid, (ConvexPolytope, Box)) for solid in every) < _SEVERAL:
+    """The table of all solids that have one, if there are cylinders, or several polytopes or boxes."""
+    every = [solid for some in solids for solid in some if not isinstance(solid, _UNBOUNDED)]
+    has_cylinder = any(isinstance(solid, Cylinder) for solid in every)
+    every = [solid for solid in every if not isinstance(solid, Cylinder)]
+    if not has_cylinder and sum(isinstance(solid, (ConvexPolytope, Box)) for solid in every) < _SEVERAL:
         return None
     return PolytopeTable(s if isinstance(s, ConvexPolytope) else rounded("clearances", s) for s in every)
 

@@ -1,5 +1,5 @@
 """The distances of many pairs of convex solids by one search: the solids are entries of a table, and their numbers are
-arguments of the search.
+arguments of the search. The sizes of cylinders are arguments, too.
 
 A search with the corners of both solids as constants is compiled anew for each pair. Here all pairs of a table share
 one. The arrays of the solids are padded to equal lengths by copies of their first entries, which change neither the
@@ -8,7 +8,7 @@ farthest corner nor the face or the pair of edges of least depth.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from typing import Any
 
 import jax
@@ -20,8 +20,12 @@ from ...expr import Concat, Constant, Expr, Reshaped
 from ...expr.functions.function import Function
 from ...expr.lie import Inverse
 from ...scalar.fast import searched
+from ...view import Cylinder
+from .cylinder import CylinderPose, cylinder_distance
+from .cylinder_pair import cylinders_of_sizes
+from .cylinder_search import Facets, facets_of
 from .gjk import at
-from .polytope import ConvexPolytope, NearestFeatures, core_of, distance_of, features_of, hull_of, size_key, size_of
+from .polytope import ConvexPolytope, NearestFeatures, core_of, distance_of, features_of, size_key, size_of
 from .separating_axes import Hull
 from .solids import Core, Rounded
 
@@ -41,7 +45,7 @@ class PolytopeTable:
             for some in _parted(keys, [_width(self._cores[key]) for key in keys]):
                 table = _Table([self._cores[key] for key in some])
                 self._places |= {key: (table, number) for number, key in enumerate(some)}
-        self._functions = dict[tuple[_Table, _Table], Function]()
+        self._functions = dict[tuple[Any, Any], Function]()
 
     def distance(self, a: Rounded | ConvexPolytope, b: Rounded | ConvexPolytope, T: Expr) -> Expr:
         """The signed distance () of two solids of the tables, if T is the pose of b in the frame of a. One of them has
@@ -50,11 +54,26 @@ class PolytopeTable:
         if not len(self._cores[size_key(a)].normals):
             a, b, T = b, a, Inverse(T)
         (first, i), (second, j) = self._places[size_key(a)], self._places[size_key(b)]
-        if (first, second) not in self._functions:
-            self._functions[first, second] = Function(_distance(first, second), (), name="signed_distance")
         radius = self._cores[size_key(a)].radius + self._cores[size_key(b)].radius
-        numbers = Constant(np.array([i, j], float))
-        return self._functions[first, second](Concat(Reshaped(T[:3], (12,)), numbers)) - radius
+        return self._of((first, second), lambda: _distance(first, second), T, [i, j]) - radius
+
+    def distance_of_cylinder(self, a: Cylinder, b: Rounded | ConvexPolytope | Cylinder, T: Expr) -> Expr:
+        """The signed distance () of a cylinder and a solid of the tables that is no ball, or a cylinder whose radius is
+        not smaller, if T is the pose of b in the frame of a.
+        """
+        radius, height = float(a.radius), 0.5 * float(a.length)
+        if isinstance(b, Cylinder):
+            sizes = [radius, float(b.radius), height, 0.5 * float(b.length)]
+            return self._of((Cylinder, Cylinder), cylinders_of_sizes, T, sizes)
+        table, i = self._places[size_key(b)]
+        d = self._of((Cylinder, table), lambda: _distance_of_cylinder(table), T, [radius, height, i])
+        return d - self._cores[size_key(b)].radius
+
+    def _of(self, key: tuple[Any, Any], distance: Callable[[], Any], T: Expr, numbers: Sequence[float]) -> Expr:
+        """The value () of the function of a pair of tables."""
+        if key not in self._functions:
+            self._functions[key] = Function(distance(), (), name="signed_distance")
+        return self._functions[key](Concat(Reshaped(T[:3], (12,)), Constant(np.array(numbers, float))))
 
 
 def _width(core: Core) -> int:
@@ -76,19 +95,24 @@ class _Table:
     """The arrays of some cores, padded to the largest of each kind."""
 
     def __init__(self, cores: Sequence[Core]) -> None:
-        hulls = [jax.tree.map(np.asarray, hull_of(core)) for core in cores]
-        leaves, structure = zip(*map(jax.tree.flatten, hulls))
-        self._arrays: Hull = jax.tree.unflatten(structure[0], [_padded(arrays) for arrays in zip(*leaves)])
+        every = [jax.tree.map(np.asarray, facets_of(core)) for core in cores]
+        leaves, structure = zip(*map(jax.tree.flatten, every))
+        self._arrays: Facets = jax.tree.unflatten(structure[0], [_padded(arrays) for arrays in zip(*leaves)])
         self._sizes = np.array([size_of(core) for core in cores])
 
     def corners(self, number: jax.Array, dtype: Any) -> jax.Array:
-        return at(jnp.asarray(self._arrays.corners, dtype), number)
+        return at(jnp.asarray(self._arrays.hull.corners, dtype), number)
 
     def hull(self, number: jax.Array, dtype: Any) -> Hull:
-        hull: Hull = jax.tree.map(
-            lambda x: at(jnp.asarray(x, dtype), number) if x.size else jnp.zeros(x.shape[1:], dtype), self._arrays
+        return self._entry(self._arrays.hull, number, dtype)
+
+    def facets(self, number: jax.Array, dtype: Any) -> Facets:
+        return self._entry(self._arrays, number, dtype)
+
+    def _entry(self, arrays: Any, number: jax.Array, dtype: Any) -> Any:
+        return jax.tree.map(
+            lambda x: at(jnp.asarray(x, dtype), number) if x.size else jnp.zeros(x.shape[1:], dtype), arrays
         )
-        return hull
 
     def size(self, number: jax.Array, dtype: Any) -> jax.Array:
         return at(jnp.asarray(self._sizes, dtype), number)
@@ -118,3 +142,13 @@ def _distance(first: _Table, second: _Table) -> Any:
         )
 
     return searched(search, lambda x, features: distance_of(features, x[:12].reshape(3, 4)))
+
+
+def _distance_of_cylinder(table: _Table) -> Any:
+    """The distance () of a cylinder and a core of a table, of x (15,): the first three rows of the pose of the core in
+    the frame of the cylinder, the radius and half the length of the cylinder, and the number of the core.
+    """
+    return cylinder_distance(
+        lambda x: CylinderPose(x[12], x[13], x[:12].reshape(3, 4)),
+        lambda x: table.facets(x[14].astype(np.int32), x.dtype),
+    )
