@@ -69,7 +69,7 @@ class PolytopeTable:
         d = self._of((Cylinder, table), lambda: _distance_of_cylinder(table), T, [radius, height, i])
         return d - self._cores[size_key(b)].radius
 
-    def _of(self, key: tuple[Any, Any], distance: Callable[[], Any], T: Expr, numbers: Sequence[float]) -> Expr:
+    def _of(self, key: tuple[Any, Any], distance: Callable[[], Any], T: Expr, numbers: Sequence[float | int]) -> Expr:
         """The value () of the function of a pair of tables."""
         if key not in self._functions:
             self._functions[key] = Function(distance(), (), name="signed_distance")
