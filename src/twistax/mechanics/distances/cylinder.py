@@ -48,14 +48,15 @@ def cylinder_to_core(cylinder: Cylinder, core: Core) -> Callable[[Any], jax.Arra
     if not len(core.edges):
         return lambda T: _to_point(radius, height, jnp.asarray(T)[:3, 3]) - core.radius
     facets = facets_of(core)
-    distance = cylinder_distance(lambda T: CylinderPose(radius, height, T), lambda T: facets)
+    distance = searched(*cylinder_search(lambda T: CylinderPose(radius, height, T), lambda T: facets))
     return lambda T: distance(T) - core.radius
 
 
-def cylinder_distance(
+def cylinder_search(
     placed: Callable[[jax.Array], CylinderPose], facets: Callable[[jax.Array], Facets]
-) -> Callable[[Any], jax.Array]:
-    """The signed distance () of a cylinder and a core without its radius, as a function of an array x.
+) -> tuple[Callable[[jax.Array], Feature], Callable[[jax.Array, Feature], jax.Array]]:
+    """The search of an array x for the nearest features of a cylinder and a core without its radius, and the formula of
+    their signed distance ().
 
     Args:
         placed: of x the sizes of the cylinder and the pose of the core.
@@ -84,7 +85,7 @@ def cylinder_distance(
         gap = n @ corner - reach(radius, height, n[None])[0]
         return jnp.where(feature.kind[0] > 0.5, _along(radius, height, corner, e), gap)
 
-    return searched(search, formula)
+    return search, formula
 
 
 def _along(radius: Any, height: Any, point: jax.Array, axis: jax.Array) -> jax.Array:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -39,6 +39,9 @@ class _Direction(NamedTuple):
     gap: jax.Array
     n: jax.Array
     kind: jax.Array
+
+
+_Search: TypeAlias = tuple[Callable[[jax.Array], _Direction], Callable[[jax.Array, _Direction], jax.Array]]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,17 +75,18 @@ class _Cylinders:
 def cylinder_to_cylinder(a: Cylinder, b: Cylinder) -> Callable[[Any], jax.Array]:
     """The signed distance () as a function of the pose T (4, 4) of b in the frame of a, whose radius is not larger."""
     sizes = float(a.radius), float(b.radius), 0.5 * float(a.length), 0.5 * float(b.length)
-    return _distance(lambda T: (sizes, T))
+    return searched(*_search(lambda T: (sizes, T)))
 
 
-def cylinders_of_sizes() -> Callable[[Any], jax.Array]:
-    """The signed distance () of two cylinders as a function of x (16,): the first three rows of the pose of the second
-    one in the frame of the first, both radii, of which the first is not larger, and both half lengths.
+def search_of_cylinders() -> _Search:
+    """The search for the direction of the greatest gap of two cylinders, and the formula of their signed distance (),
+    of x: the first three rows of the pose of the second one in the frame of the first, both radii, of which the first
+    is not larger, and both half lengths.
     """
-    return _distance(lambda x: (x[12:], x[:12].reshape(3, 4)))
+    return _search(lambda x: (x[12:16], x[:12].reshape(3, 4)))
 
 
-def _distance(sizes_and_pose: Callable[[jax.Array], tuple[Any, jax.Array]]) -> Callable[[Any], jax.Array]:
+def _search(sizes_and_pose: Callable[[jax.Array], tuple[Any, jax.Array]]) -> _Search:
     def placed(x: jax.Array) -> _Cylinders:
         (r, s, h, k), T = sizes_and_pose(x)
         return _Cylinders(r, s, h, k, jnp.asarray([0.0, 0.0, 1.0], x.dtype), T[:3, 2], T[:3, 3])
@@ -105,7 +109,7 @@ def _distance(sizes_and_pose: Callable[[jax.Array], tuple[Any, jax.Array]]) -> C
         weights = (jnp.arange(len(directions)) == kind).astype(near.dtype)
         return pair.gap((weights @ jnp.stack(directions))[None])[0]
 
-    return searched(lambda x: _best(placed(x)), formula)
+    return lambda x: _best(placed(x)), formula
 
 
 def _best(pair: _Cylinders) -> _Direction:

@@ -75,9 +75,7 @@ class Facets(NamedTuple):
 
 def facets_of(core: Core) -> Facets:
     duals = core.face_duals
-    return Facets(
-        hull_of(core), core.faces[:, 0], core.face_normals, core.face_offsets, (duals[:, 0], duals[:, 1])
-    )
+    return Facets(hull_of(core), core.faces[:, 0], core.face_normals, core.face_offsets, (duals[:, 0], duals[:, 1]))
 
 
 def nearest_feature(radius: Any, height: Any, core: Facets, T: jax.Array) -> Feature:

@@ -109,7 +109,7 @@ class Pair:
         if isinstance(b, HalfSpace):
             return -Dot(T[:3, 2], T[:3, 3]) - self._reach(T[:3, 2])
         if table is not None and isinstance(a, Cylinder):
-            if isinstance(b, Cylinder) or isinstance(b, ConvexPolytope) or b.directions:
+            if isinstance(b, (Cylinder, ConvexPolytope)) or b.directions:
                 return table.distance_of_cylinder(a, b, T)
         elif table is not None and _prefers_search(a, b):
             return table.distance(a, b, T)
