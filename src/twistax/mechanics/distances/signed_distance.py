@@ -111,7 +111,7 @@ class Pair:
         if table is not None and isinstance(a, Cylinder):
             if isinstance(b, (Cylinder, ConvexPolytope)) or b.directions:
                 return table.distance_of_cylinder(a, b, T)
-        elif table is not None and _prefers_search(a, b):
+        elif table is not None and not isinstance(a, Cylinder) and _prefers_search(a, b):
             return table.distance(a, b, T)
         if isinstance(a, Rounded) and isinstance(b, Rounded):
             return _apart(a, b, T)
