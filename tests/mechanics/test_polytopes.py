@@ -146,7 +146,7 @@ def test_pairs_of_a_mechanism(tmp_path: Path) -> None:
             clearances(arm, every, srdf=file)
     x = {"q": np.array([0.3, -0.7, 1.1, 0.4])}
     exact = evaluated(pairs, x)
-    solids = dict.fromkeys(("base", "joint1", "joint2"), Box((0.9, 0.1, 0.1))) | {"joint3": Cylinder(0.1, 0.9)}
+    solids = dict.fromkeys(("base", "joint1", "joint2"), Box((0.2, 0.02, 0.02))) | {"joint3": Cylinder(0.02, 0.2)}
     straight = {"q": np.array([0.3, -0.1, 0.2, 0.1])}
     true, broad = (evaluated(clearances(arm, solids, far=far), straight) for far in (None, 0.1))
     is_near = {name: bool(abs(broad[name] - gap) < 1e-12) for name, gap in true.items()}
