@@ -231,3 +231,58 @@ def test_slopes_of_all_distances_of_a_panda(unchecked: None) -> None:
     expected = np.stack([np.asarray(of(q + step) - of(q - step)) / 2e-6 for step in steps], axis=1)
     assert slopes.shape == (42, 8)
     np.testing.assert_allclose(slopes, expected, rtol=0.0, atol=1e-8)
+
+
+@needs_robots
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize(("file", "srdf"), [("g1_29dof_rev_1_0", None), ("talos_reduced", "talos")])
+def test_distances_of_humanoids_as_coal_has_them(file: str, srdf: str | None, unchecked: None) -> None:
+    """All pairs of links; the meshes as the hulls of `clearances`, on links where Pinocchio has them."""
+    import coal
+    import pinocchio as pin
+
+    path, rules = named(f"{file}.urdf"), srdf and named(f"{srdf}.srdf")
+    robot, model = mechanics.load(path, within=SHARE, physical=False), pin.buildModelFromUrdf(str(path))
+    geometry = pin.buildGeomFromUrdf(model, str(path), pin.GeometryType.COLLISION, package_dirs=[str(SHARE)])
+    parts: dict[str, list[Any]] = {}
+    for part in geometry.geometryObjects:
+        parts.setdefault(model.frames[part.parentFrame].name, []).append(part)
+    shapes = {link.name: link.collision for link in robot.links} | {robot.base: robot.collision}
+    solids = {
+        name: [ConvexPolytope(s, most=24) if isinstance(s, tx.view.Mesh) else s for s in shapes[name]] for name in parts
+    }
+    pairs, data, request = clearances(robot, solids, srdf=rules), model.createData(), coal.DistanceRequest(True)
+    request.gjk_tolerance = request.epa_tolerance = 1e-9
+    gaps = tx.lower(tx.Stack(*pairs.values()))
+    limits = (np.clip(limit, -3.0, 3.0) for limit in (robot.q.min, robot.q.max))
+    q = np.random.default_rng(0).uniform(*limits, size=(10, robot.dofs))
+    values = np.asarray(jax.jit(jax.vmap(lambda q: gaps(0.0, {"q": q})))(q))
+
+    def placed(solid: Any, part: Any) -> tuple[Any, Any, float]:
+        T = data.oMi[part.parentJoint]
+        if not isinstance(solid, ConvexPolytope):
+            T = T * part.placement
+            return part.geometry, coal.Transform3s(T.rotation, T.translation), 0.0
+        T, points = T * model.frames[part.parentFrame].placement, coal.StdVec_Vec3s()
+        for corner in solid.corners:
+            points.append(corner)
+        return coal.Convex.convexHull(points, True, "Qt"), coal.Transform3s(T.rotation, T.translation), solid.radius
+
+    def gap(a: tuple[Any, Any, float], b: tuple[Any, Any, float]) -> float:
+        return float(coal.distance(*a[:2], *b[:2], request, coal.DistanceResult())) - a[2] - b[2]
+
+    names = {"-".join(pair): pair for pair in itertools.permutations(parts, 2)}
+    for positions, row in zip(q, values, strict=True):
+        at = pin.neutral(model)
+        for name, value in zip(robot.joints, positions, strict=True):
+            at[model.joints[model.getJointId(name)].idx_q] = value
+        pin.forwardKinematics(model, data, at)
+        bodies = {name: [placed(*pair) for pair in zip(solids[name], parts[name], strict=True)] for name in parts}
+        for key, value in zip(pairs, row, strict=True):
+            first, second = names[key]
+            expected = min(gap(a, b) for a in bodies[first] for b in bodies[second])
+            # Coal's depth of a cylinder may be larger than that of the shortest translation.
+            depth = expected < 0.0 and any(isinstance(s, tx.view.Cylinder) for s in solids[first] + solids[second])
+            assert value - expected > -1e-6 if depth else abs(value - expected) < 1e-6, (key, value, expected)
+    assert len(pairs) == {"g1_29dof_rev_1_0": 402, "talos_reduced": 883}[file]

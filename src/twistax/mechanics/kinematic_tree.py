@@ -288,6 +288,13 @@ class KinematicTree:
 
     def poses(self, q: Positions | None = None) -> list[Expr]:
         """The pose T (4, 4) of each segment in the base. Raises ShapeError for positions of another shape."""
+        return list(self._poses) if q is None else self._composed(q)
+
+    @functools.cached_property
+    def _poses(self) -> list[Expr]:
+        return self._composed(None)
+
+    def _composed(self, q: Positions | None) -> list[Expr]:
         poses: list[Expr] = []
         for segment, T in zip(self.segments, self.transforms(q), strict=True):
             poses.append(T if segment.before < 0 else Compose(poses[segment.before], T))

@@ -11,9 +11,8 @@ Newton's method gives the point on an edge or the direction at a rim its derivat
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -21,7 +20,7 @@ import jax.numpy as jnp
 from ...expr import Abs, Expr, Norm
 from ...scalar.fast import searched
 from ...view import Cylinder
-from .cylinder_search import Feature, nearest_feature, reach
+from .cylinder_search import Facets, Feature, facets_of, nearest_feature, reach
 from .polytope import root
 from .rim import turned, unit
 from .solids import Core
@@ -35,13 +34,41 @@ def over_plane(cylinder: Cylinder, n: Expr) -> Expr:
     return 0.5 * float(cylinder.length) * Abs(n[2]) + float(cylinder.radius) * Norm(n[:2])
 
 
+class CylinderPose(NamedTuple):
+    """A cylinder of a radius and half the length `height`, and the pose T (3, 4) or (4, 4) of a core in its frame."""
+
+    radius: Any
+    height: Any
+    T: jax.Array
+
+
 def cylinder_to_core(cylinder: Cylinder, core: Core) -> Callable[[Any], jax.Array]:
     """The signed distance () as a function of the pose T (4, 4) of a core in the frame of a cylinder."""
     radius, height = float(cylinder.radius), 0.5 * float(cylinder.length)
     if not len(core.edges):
         return lambda T: _to_point(radius, height, jnp.asarray(T)[:3, 3]) - core.radius
+    facets = facets_of(core)
+    distance = searched(*cylinder_search(lambda T: CylinderPose(radius, height, T), lambda T: facets))
+    return lambda T: distance(T) - core.radius
 
-    def formula(T: jax.Array, feature: Feature) -> jax.Array:
+
+def cylinder_search(
+    placed: Callable[[jax.Array], CylinderPose], facets: Callable[[jax.Array], Facets]
+) -> tuple[Callable[[jax.Array], Feature], Callable[[jax.Array, Feature], jax.Array]]:
+    """The search of an array x for the nearest features of a cylinder and a core without its radius, and the formula of
+    their signed distance ().
+
+    Args:
+        placed: of x the sizes of the cylinder and the pose of the core.
+        facets: of x the arrays of the core, which has edges.
+    """
+
+    def search(x: jax.Array) -> Feature:
+        radius, height, T = placed(x)
+        return nearest_feature(radius, height, facets(x), T)
+
+    def formula(x: jax.Array, feature: Feature) -> jax.Array:
+        radius, height, T = placed(x)
         R, z = T[:3, :3], jnp.asarray([0.0, 0.0, 1.0], T.dtype)
         corner, e = R @ feature.corner + T[:3, 3], R @ feature.edge
         upward = jnp.where(feature.n[2] < 0.0, -1.0, 1.0).astype(T.dtype)
@@ -56,12 +83,12 @@ def cylinder_to_core(cylinder: Cylinder, core: Core) -> Callable[[Any], jax.Arra
         ]
         n = feature.kind[1:] @ jnp.stack(directions)
         gap = n @ corner - reach(radius, height, n[None])[0]
-        return jnp.where(feature.kind[0] > 0.5, _along(radius, height, corner, e), gap) - core.radius
+        return jnp.where(feature.kind[0] > 0.5, _along(radius, height, corner, e), gap)
 
-    return searched(functools.partial(nearest_feature, radius, height, core), formula)
+    return search, formula
 
 
-def _along(radius: float, height: float, point: jax.Array, axis: jax.Array) -> jax.Array:
+def _along(radius: Any, height: Any, point: jax.Array, axis: jax.Array) -> jax.Array:
     """The signed distance of the nearest point of an edge along `axis`; a step of Newton's method gives the point its
     derivatives.
     """
@@ -77,7 +104,7 @@ def _along(radius: float, height: float, point: jax.Array, axis: jax.Array) -> j
     return to(jnp.where(smooth, -step, 0.0), point, axis)
 
 
-def _to_point(radius: float, height: float, p: jax.Array) -> jax.Array:
+def _to_point(radius: Any, height: Any, p: jax.Array) -> jax.Array:
     """The signed distance of a point (3,), in the frame of the cylinder."""
     across = root(p[0] ** 2 + p[1] ** 2) - radius
     up = jnp.abs(p[2]) - height

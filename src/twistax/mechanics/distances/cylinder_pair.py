@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -41,16 +41,19 @@ class _Direction(NamedTuple):
     kind: jax.Array
 
 
+_Search: TypeAlias = tuple[Callable[[jax.Array], _Direction], Callable[[jax.Array, _Direction], jax.Array]]
+
+
 @dataclasses.dataclass(frozen=True)
 class _Cylinders:
     """Two cylinders, the first one in its frame, with radii r and s and half lengths h and k; the second one has the
     axis y and the centre p.
     """
 
-    r: float
-    s: float
-    h: float
-    k: float
+    r: Any
+    s: Any
+    h: Any
+    k: Any
     z: jax.Array
     y: jax.Array
     p: jax.Array
@@ -71,14 +74,25 @@ class _Cylinders:
 
 def cylinder_to_cylinder(a: Cylinder, b: Cylinder) -> Callable[[Any], jax.Array]:
     """The signed distance () as a function of the pose T (4, 4) of b in the frame of a, whose radius is not larger."""
+    sizes = float(a.radius), float(b.radius), 0.5 * float(a.length), 0.5 * float(b.length)
+    return searched(*_search(lambda T: (sizes, T)))
 
-    def placed(T: jax.Array) -> _Cylinders:
-        halves = 0.5 * float(a.length), 0.5 * float(b.length)
-        z = jnp.asarray([0.0, 0.0, 1.0], T.dtype)
-        return _Cylinders(float(a.radius), float(b.radius), *halves, z, T[:3, 2], T[:3, 3])
 
-    def formula(T: jax.Array, best: _Direction) -> jax.Array:
-        pair, near, kind = placed(T), best.n, best.kind
+def search_of_cylinders() -> _Search:
+    """The search for the direction of the greatest gap of two cylinders, and the formula of their signed distance (),
+    of x: the first three rows of the pose of the second one in the frame of the first, both radii, of which the first
+    is not larger, and both half lengths.
+    """
+    return _search(lambda x: (x[12:16], x[:12].reshape(3, 4)))
+
+
+def _search(sizes_and_pose: Callable[[jax.Array], tuple[Any, jax.Array]]) -> _Search:
+    def placed(x: jax.Array) -> _Cylinders:
+        (r, s, h, k), T = sizes_and_pose(x)
+        return _Cylinders(r, s, h, k, jnp.asarray([0.0, 0.0, 1.0], x.dtype), T[:3, 2], T[:3, 3])
+
+    def formula(x: jax.Array, best: _Direction) -> jax.Array:
+        pair, near, kind = placed(x), best.n, best.kind
         y, z, p = pair.y, pair.z, pair.p
         up, second_sign = (jnp.where(axis @ near < 0.0, -1.0, 1.0) for axis in (z, jax.lax.stop_gradient(y)))
         of_first, of_second = p - up * pair.h * z, p - second_sign * pair.k * y
@@ -92,10 +106,10 @@ def cylinder_to_cylinder(a: Cylinder, b: Cylinder) -> Callable[[Any], jax.Array]
             turned(near, y, of_first, z, pair.r),
             _climbed(near, corner, ((pair.r, z), (pair.s, y))),
         ]
-        weights = (jnp.arange(len(directions)) == kind).astype(T.dtype)
+        weights = (jnp.arange(len(directions)) == kind).astype(near.dtype)
         return pair.gap((weights @ jnp.stack(directions))[None])[0]
 
-    return searched(lambda T: _best(placed(T)), formula)
+    return lambda x: _best(placed(x)), formula
 
 
 def _best(pair: _Cylinders) -> _Direction:

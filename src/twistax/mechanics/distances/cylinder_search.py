@@ -17,8 +17,9 @@ import jax
 import jax.numpy as jnp
 
 from .gjk import at, farthest, place_of
-from .polytope import root
+from .polytope import hull_of, root
 from .rim import RimIntervals, rim_intervals, rim_normal, sign_change, unit
+from .separating_axes import Hull
 from .solids import Core
 
 #: A distance that is zero by rounding, relative to the radius.
@@ -59,7 +60,25 @@ class _Candidate(NamedTuple):
     kind: jax.Array
 
 
-def nearest_feature(radius: float, height: float, core: Core, T: jax.Array) -> Feature:
+class Facets(NamedTuple):
+    """Arrays of a `Core`: its hull, and of triangles the first corners, normals (f, 3), offsets (f,) and duals (f, 3).
+
+    A segment or a point has no triangles.
+    """
+
+    hull: Hull
+    faces: Any
+    face_normals: Any
+    face_offsets: Any
+    face_duals: tuple[Any, Any]
+
+
+def facets_of(core: Core) -> Facets:
+    duals = core.face_duals
+    return Facets(hull_of(core), core.faces[:, 0], core.face_normals, core.face_offsets, (duals[:, 0], duals[:, 1]))
+
+
+def nearest_feature(radius: Any, height: Any, core: Facets, T: jax.Array) -> Feature:
     """The feature for the pose T of a core in the frame of a cylinder of half the length `height`."""
     R, p = T[:3, :3], T[:3, 3]
     placed = _Placed(radius, height, core, R, p)
@@ -74,13 +93,14 @@ def nearest_feature(radius: float, height: float, core: Core, T: jax.Array) -> F
 class _Placed:
     """The arrays of a core in the frame of the cylinder."""
 
-    def __init__(self, radius: float, height: float, core: Core, R: jax.Array, p: jax.Array) -> None:
+    def __init__(self, radius: Any, height: Any, core: Facets, R: jax.Array, p: jax.Array) -> None:
         self.radius, self.height, self.core, self.R, self.p = radius, height, core, R, p
         self.constant = functools.partial(jnp.asarray, dtype=R.dtype)
-        self.corners = self.moved(core.corners)
-        self.normals = self.turned(core.normals)
-        self.starts, self.ends = self.moved(core.edges[:, 0]), self.moved(core.edges[:, 1])
-        self.edges = self.turned(core.directions)
+        hull = core.hull
+        self.corners = self.moved(hull.corners)
+        self.normals = self.turned(hull.normals)
+        self.starts, self.ends = self.moved(hull.edges[0]), self.moved(hull.edges[1])
+        self.edges = self.turned(hull.directions)
         self.z = self.constant([0.0, 0.0, 1.0])
 
     def turned(self, vectors: Any) -> jax.Array:
@@ -94,12 +114,12 @@ class _Placed:
         return _Candidate(gap, n=n, kind=jnp.asarray(kind), **vectors)
 
 
-def reach(radius: float, height: float, n: jax.Array) -> jax.Array:
+def reach(radius: Any, height: Any, n: jax.Array) -> jax.Array:
     """The support (k,) of a cylinder in its frame along directions n (k, 3)."""
     return height * jnp.abs(n[:, 2]) + radius * root(n[:, 0] ** 2 + n[:, 1] ** 2)
 
 
-def to_points(radius: float, height: float, p: jax.Array) -> tuple[jax.Array, jax.Array]:
+def to_points(radius: Any, height: Any, p: jax.Array) -> tuple[jax.Array, jax.Array]:
     """The signed distances (k,) of points (k, 3), and their gradients (k, 3)."""
     flat = root(p[:, 0] ** 2 + p[:, 1] ** 2)
     across, up = flat - radius, jnp.abs(p[:, 2]) - height
@@ -137,7 +157,7 @@ def _apart(placed: _Placed) -> _Candidate:
     if len(placed.core.faces):
         nearest.append(_above_faces(placed))
     best = best_of(nearest, jnp.less)
-    if not len(placed.core.edges):
+    if not len(placed.edges):
         return best
     e = placed.edges
     start, end = (
@@ -177,14 +197,14 @@ def _above_faces(placed: _Placed) -> _Candidate:
     flat = root(n[:, 0] ** 2 + n[:, 1] ** 2)
     scale = -radius / jnp.where(flat > 0.0, flat, 1.0)
     lowest = jnp.stack([scale * n[:, 0], scale * n[:, 1], -height * jnp.sign(n[:, 2])], axis=1)
-    w = (lowest - placed.p[None]) @ placed.R - placed.constant(core.faces[:, 0])
+    w = (lowest - placed.p[None]) @ placed.R - placed.constant(core.faces)
     # Coordinates within the triangle.
-    s, t = (jnp.sum(w * placed.constant(core.face_duals[:, k]), axis=1) for k in (0, 1))
+    s, t = (jnp.sum(w * placed.constant(core.face_duals[k]), axis=1) for k in (0, 1))
     over = (s >= -_SEAM) & (t >= -_SEAM) & (s + t <= 1.0 + _SEAM) & (heights > -_TOUCHING * radius)
     heights = jnp.where(over, heights, _FAR)
     i = place_of(heights == jnp.min(heights))
     normal = at(n, i)
-    corner = placed.moved(at(placed.constant(core.faces[:, 0]), i)[None])[0]
+    corner = placed.moved(at(placed.constant(core.faces), i)[None])[0]
     return placed.candidate(jnp.min(heights), 1, -normal, normal=normal, corner=corner)
 
 
@@ -194,12 +214,12 @@ def _above_faces(placed: _Placed) -> _Candidate:
 def _deepest(placed: _Placed) -> _Candidate:
     """The direction of the greatest gap of solids that overlap."""
     candidates = [_end(placed, 1.0), _end(placed, -1.0), _of_corners(placed)]
-    if len(placed.core.normals):
+    if len(placed.normals):
         candidates.append(_of_faces(placed))
-    if len(placed.core.edges):
+    if len(placed.edges):
         candidates.append(_across_edges(placed))
     best = best_of(candidates, jnp.greater)
-    return _at_rims(placed, best) if len(placed.core.edges) else best
+    return _at_rims(placed, best) if len(placed.edges) else best
 
 
 def _end(placed: _Placed, sign: float) -> _Candidate:
@@ -209,10 +229,10 @@ def _end(placed: _Placed, sign: float) -> _Candidate:
 
 
 def _of_faces(placed: _Placed) -> _Candidate:
-    n, core = -placed.normals, placed.core
-    gaps = n @ placed.p - placed.constant(core.offsets) - reach(placed.radius, placed.height, n)
+    n, hull = -placed.normals, placed.core.hull
+    gaps = n @ placed.p - placed.constant(hull.offsets) - reach(placed.radius, placed.height, n)
     i = place_of(gaps == jnp.max(gaps))
-    corner = placed.moved(at(placed.constant(core.planes[:, 0]), i)[None])[0]
+    corner = placed.moved(at(placed.constant(hull.planes[0]), i)[None])[0]
     return placed.candidate(jnp.max(gaps), 1, at(n, i), normal=-at(n, i), corner=corner)
 
 
@@ -235,9 +255,10 @@ def _of_corners(placed: _Placed) -> _Candidate:
 
 def _sides(placed: _Placed) -> tuple[jax.Array, jax.Array] | None:
     """The directions between which an edge is nearest; None: any across it."""
-    if not len(placed.core.normals):
+    if not len(placed.normals):
         return None
-    return -placed.turned(placed.core.sides[:, 0]), -placed.turned(placed.core.sides[:, 1])
+    first, second = placed.core.hull.sides
+    return -placed.turned(first), -placed.turned(second)
 
 
 def _across_edges(placed: _Placed) -> _Candidate:

@@ -8,13 +8,11 @@ import math
 from collections.abc import Collection, Hashable, Iterable, Mapping
 from pathlib import Path
 
-import numpy as np
-
 from ...checks import instance, listed, number, path_of, short
 from ...errors import ModelError, TwistaxError
-from ...expr import Cond, Constant, Expr, LogSumExp, Min, Norm
+from ...expr import Expr, LogSumExp, Min
 from ...expr.functions.function import Function
-from ...expr.lie import Act, Compose, Inverse
+from ...expr.lie import Compose, Inverse
 from ...progress import watching
 from ...view import Box, Cylinder, Mesh, Shape
 from ..algorithms.dynamics import checked
@@ -32,7 +30,7 @@ from .solids import HalfSpace, rounded
 _SEVERAL = 3
 #: The most names of a file that a message has.
 _NAMED = 6
-#: Solids without a sphere around them.
+#: Solids that no table has.
 _UNBOUNDED = (HalfSpace, DistanceGrid)
 
 Solids = Mapping[str, Solid | Iterable[Solid]]
@@ -65,9 +63,10 @@ def clearances(
         srdf: a file with `<disable_collisions link1=... link2=.../>`, as MoveIt writes it. Pairs with a link that the
             mechanism does not have are skipped, such as those of a leg after `without`.
         far: None, or the distance, m, of the broad phase: if the spheres around two solids are farther apart than this,
-            their distance is returned in place of that of the solids, which is not computed. It is a lower bound, so
-            constraints remain satisfied; the value is discontinuous at the switch. For a `HalfSpace` and a
-            `DistanceGrid` there is no broad phase.
+            their distance is returned in place of that of the solids, whose search is left out. It is a lower bound, so
+            constraints remain satisfied; the value is discontinuous at the switch. Distances that are formulas are
+            always exact: of a `HalfSpace`, a `DistanceGrid` or a ball of a cylinder, and of balls and capsules to
+            each other and to boxes.
     Raises:
         ModelError: an unknown frame or name; a name that is both a frame and an obstacle; a solid without a distance
             function; collision geometry that cannot be read, by link; an SRDF file of another robot; no remaining pair.
@@ -90,14 +89,15 @@ def clearances(
     skipped = _pairs_of_names(ignored, frames | {name: name for name in mechanism.frames})
     if srdf is not None:
         skipped |= _disabled_pairs(srdf, mechanism)
-    distances, table = dict[str, Expr](), _table([*by_frame.values(), *by_obstacle.values()])
+    poses = {name: mechanism.pose(name) for name in by_frame}
+    distances, table = dict[str, Expr](), _table([*by_frame.values(), *by_obstacle.values()], far)
     functions = dict[Hashable, Function]()
     for a, b in itertools.combinations([*by_frame, *by_obstacle], 2):
         if frozenset((frames[a], frames[b])) in skipped or not _may_touch(mechanism, places[a], places[b]):
             continue
-        T_a, T_b = (mechanism.pose(name) if name in by_frame else None for name in (a, b))
+        T_a, T_b = poses.get(a), poses.get(b)
         shapes = itertools.product(*({**by_frame, **by_obstacle}[name] for name in (a, b)))
-        pairs = [_distance(one, two, T_a, T_b, far, table, functions) for one, two in shapes]
+        pairs = [_distance(one, two, T_a, T_b, table, functions) for one, two in shapes]
         name = f"{a}-{b}"
         distances[name] = functools.reduce(Min, ([distances[name]] if name in distances else []) + pairs)
     if not distances:
@@ -220,12 +220,16 @@ def _may_touch(mechanism: KinematicTree, a: int | None, b: int | None) -> bool:
     return a != b and before[a] != b and before[b] != a
 
 
-def _table(solids: Iterable[Iterable[Solid]]) -> PolytopeTable | None:
-    """The table of all solids that have one, if there are several polytopes or boxes."""
-    every = [solid for some in solids for solid in some if not isinstance(solid, (*_UNBOUNDED, Cylinder))]
-    if sum(isinstance(solid, (ConvexPolytope, Box)) for solid in every) < _SEVERAL:
+def _table(solids: Iterable[Iterable[Solid]], far: float | None) -> PolytopeTable | None:
+    """The table of all solids that have one, if there is a broad phase, cylinders, or several polytopes or boxes."""
+    every = [solid for some in solids for solid in some if not isinstance(solid, _UNBOUNDED)]
+    has_cylinder = any(isinstance(solid, Cylinder) for solid in every)
+    every = [solid for solid in every if not isinstance(solid, Cylinder)]
+    several = sum(isinstance(solid, (ConvexPolytope, Box)) for solid in every) >= _SEVERAL
+    if far is None and not has_cylinder and not several:
         return None
-    return PolytopeTable(s if isinstance(s, ConvexPolytope) else rounded("clearances", s) for s in every)
+    cores = (solid if isinstance(solid, ConvexPolytope) else rounded("clearances", solid) for solid in every)
+    return PolytopeTable(cores, far)
 
 
 def _distance(
@@ -233,26 +237,8 @@ def _distance(
     b: Solid,
     T_a: Expr | None,
     T_b: Expr | None,
-    far: float | None,
     table: PolytopeTable | None,
     functions: dict[Hashable, Function],
 ) -> Expr:
-    """The distance of two solids, or that of the spheres around them if these are far apart."""
     pair, A, B = placed_pair("clearances", a, b, T_a, T_b)
-    exact = pair.distance(Compose(Inverse(A), B), table, functions)
-    if far is None or isinstance(a, _UNBOUNDED) or isinstance(b, _UNBOUNDED):
-        return exact
-    (c_a, r_a), (c_b, r_b) = _sphere(a), _sphere(b)
-    between = (Constant(c_a) if T_a is None else Act(T_a, c_a)) - (Constant(c_b) if T_b is None else Act(T_b, c_b))
-    gap = Norm(between) - (r_a + r_b)
-    return Cond(gap > far, gap, exact)
-
-
-def _sphere(solid: Solid) -> tuple[np.ndarray, float]:
-    """The centre and the radius of a sphere around a solid, in the frame of its body."""
-    if isinstance(solid, Cylinder):
-        return np.asarray(solid.at[:3, 3]), float(np.hypot(solid.radius, 0.5 * solid.length))
-    core = solid.core if isinstance(solid, ConvexPolytope) else rounded("clearances", solid)
-    middle = 0.5 * (core.corners.min(axis=0) + core.corners.max(axis=0))
-    radius = float(np.linalg.norm(core.corners - middle, axis=1).max()) + core.radius
-    return np.asarray(core.at[:3, :3] @ middle + core.at[:3, 3]), radius
+    return pair.distance(Compose(Inverse(A), B), table, functions)

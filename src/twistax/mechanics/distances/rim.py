@@ -85,7 +85,7 @@ class RimIntervals(NamedTuple):
 
 
 def rim_intervals(
-    q: jax.Array, e: jax.Array, sides: tuple[jax.Array, jax.Array] | None, z: jax.Array, radius: float
+    q: jax.Array, e: jax.Array, sides: tuple[jax.Array, jax.Array] | None, z: jax.Array, radius: Any
 ) -> RimIntervals:
     """The intervals of directions n with n . z >= 0.
 

@@ -108,7 +108,10 @@ class Pair:
             return b.value(-(T[:3, :3].T @ T[:3, 3])) - a.radius
         if isinstance(b, HalfSpace):
             return -Dot(T[:3, 2], T[:3, 3]) - self._reach(T[:3, 2])
-        if table is not None and not isinstance(a, Cylinder) and _prefers_search(a, b):
+        if table is not None and isinstance(a, Cylinder):
+            if isinstance(b, (Cylinder, ConvexPolytope)) or b.directions:
+                return table.distance_of_cylinder(a, b, T)
+        elif table is not None and not isinstance(a, Cylinder) and _prefers_search(a, b):
             return table.distance(a, b, T)
         if isinstance(a, Rounded) and isinstance(b, Rounded):
             return _apart(a, b, T)
