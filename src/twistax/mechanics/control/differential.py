@@ -17,6 +17,7 @@ import numpy as np
 from ...checks import instance, listed, number, real_array, reals
 from ...errors import InputError, ModelError
 from ...progress import FirstCalls
+from ...scalar.fast import part_of_package
 from ...scalar.varying_entries import varying_entries
 from ...solver.qp import QPStatus
 from ...solver.squares import LeastSquares
@@ -146,9 +147,10 @@ class DifferentialController:
         #: The controls and parameters that are the targets of calls.
         self.controls, self.parameters = inputs_of(owner, self.space, parts)
         self.expressions = parts
-        self.settings = _Settings(self, dt, speed, acceleration, limit_gain, constraint_gain, regularization)
         n, sizes = mechanism.dofs, (sum(self.tasks.sizes), sum(self.equalities.sizes))
         self.solver = LeastSquares(n, *sizes, sum(self.constraints.sizes.values()))
+        self.settings = _Settings(self, dt, speed, acceleration, limit_gain, constraint_gain, regularization)
+        self._after = part_of_package(self.space.after)
         self._call = jax.jit(self._step)
         self._first_calls = FirstCalls("DifferentialController")
 
@@ -214,11 +216,11 @@ class DifferentialController:
         if limited and np.shape(qd) != (self.mechanism.dofs,):
             raise InputError(f"DifferentialController expects qd ({self.mechanism.dofs},), got {np.shape(qd)}")
         instance("DifferentialController: warm", warm, DifferentialStep | None, "the step before", InputError)
-        params = {leaf.name: targets.pop(leaf.name, leaf.value) for leaf in self.parameters}
-        start = np.zeros(self.solver.start_size) if warm is None else warm.start
-        arguments = (x, targets, params, qd, start, self.settings.arrays)
+        numbers, values, zero = self.settings.constants()
+        params = {name: targets.pop(name, value) for name, value in values.items()}
+        start = zero if warm is None else warm.start
         with self._first_calls(limited):
-            step: DifferentialStep = self._call(*arguments)
+            step: DifferentialStep = self._call(x, targets, params, qd, start, numbers)
         return step
 
     def to_c(
@@ -298,7 +300,7 @@ class DifferentialController:
         errors = [*self._split(e, self.tasks.sizes), *self._split(b, self.equalities.sizes)]
         return DifferentialStep(
             qd=velocity,
-            x=self.space.after(x, velocity * numbers["dt"]),
+            x=self._after(x, velocity * numbers["dt"]),
             status=jnp.where(solved, good, bad),
             errors=tuple(errors),
             overrun=overrun,
@@ -370,3 +372,17 @@ class _Settings:
         }
         self.arrays = {name: np.asarray(value, float) for name, value in numbers.items()}
         self.limits_acceleration = acceleration is not None
+        values = {leaf.name: leaf.value for leaf in controller.parameters}
+        self._constants = (self.arrays, values, np.zeros(controller.solver.start_size))
+        self._placed = dict[Any, tuple[Arrays, Arrays, jax.Array]]()
+
+    def constants(self) -> tuple[Arrays, Arrays, jax.Array]:
+        """`arrays`, the values of the controller's parameters, and the start of a step without a previous one.
+
+        They are arrays of JAX: a conversion would take a third of the time of each call.
+        """
+        dtype = jax.dtypes.canonicalize_dtype(float)
+        if dtype not in self._placed:
+            with jax.ensure_compile_time_eval():  # the first call may be inside a traced function
+                self._placed[dtype] = jax.tree.map(lambda value: jnp.asarray(value, dtype), self._constants)
+        return self._placed[dtype]
