@@ -6,6 +6,7 @@ Small vectors are tuples of their components: XLA compiles scalar arithmetic to 
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -18,7 +19,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from twistax.checks import real_array
-from twistax.errors import InputError, ShapeError
+from twistax.errors import InputError, ShapeError, TwistaxError
 
 Input: TypeAlias = ArrayLike | Sequence[Any]
 
@@ -70,11 +71,10 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
 
     @functools.wraps(function)
     def call(*values: Any, **named: Any) -> R:
-        try:
+        with contextlib.suppress(TwistaxError):
             arrays = floats(*values, *named.values())
-        except InputError:
-            return function(*values, **named)  # its message names the argument
-        return program(*arrays[: len(values)], **dict(zip(named, arrays[len(values) :], strict=True)))
+            return program(*arrays[: len(values)], **dict(zip(named, arrays[len(values) :], strict=True)))
+        return function(*values, **named)  # its error names the argument, and has no notes of JAX
 
     return call
 
