@@ -62,9 +62,9 @@ class Progress:
         switched_off = LOGGER.disabled or LOGGER.level > logging.INFO
         self.shown = shown is not False and not switched_off and (shown is True or self._live or self._logs)
         self._patience = 0.0 if shown else _PATIENCE
-        self._begin = time.perf_counter()
-        self._written = 0.0 if self._live else self._begin
-        self._depth, self._thread, self._lock = 0, 0, threading.Lock()
+        self.begin = time.perf_counter()
+        self._written = 0.0 if self._live else self.begin
+        self._depth, self.thread, self._lock = 0, 0, threading.Lock()
         self._standing = self._waited = False  # a line that the next one overwrites; whether seconds were shown
 
     def __call__(self, iteration: int, cost: float, violation: float, step: float | None = None) -> None:
@@ -75,7 +75,7 @@ class Progress:
     def __enter__(self) -> Progress:
         self._depth += 1
         if self.shown and self._depth == 1:
-            self._thread = threading.get_ident()
+            self.thread = threading.get_ident()
             _watch(self)
             if self._live and not self._patience:
                 self._write(f"{self._text} ...".lstrip(), live=True)
@@ -88,8 +88,8 @@ class Progress:
                 _WATCHED.remove(self)
             self.close()
             # The outer one shows the seconds of both.
-            within = any(line.what == self.what and line._thread == self._thread for line in _WATCHED)
-            took = time.perf_counter() - self._begin
+            within = any(line.what == self.what and line.thread == self.thread for line in _WATCHED)
+            took = time.perf_counter() - self.begin
             if self._waited and self._patience and took >= self._patience and not within:
                 self._write(f"took {took:.1f} s", live=False)
 
@@ -103,7 +103,7 @@ class Progress:
         """Show a bar and the remaining seconds, from the completed fraction and the part of it that an earlier run
         completed.
         """
-        took = time.perf_counter() - self._begin
+        took = time.perf_counter() - self.begin
         left = f", {took * (1.0 - share) / (share - before):.0f} s left" if share > before else ""
         self._show(lambda: f"[{'=' * round(_WIDTH * share):<{_WIDTH}}] {share:4.0%} of {what}{left}")
 
@@ -123,16 +123,16 @@ class Progress:
         if now - since < max(self._patience, 1.0) or now - self._written < (1.0 if self._live else _LOGGED):
             return
         self._waited = True
-        self._write(f"{self._text} ...".lstrip() + f"   {now - self._begin:5.0f} s", live=self._live)
+        self._write(f"{self._text} ...".lstrip() + f"   {now - self.begin:5.0f} s", live=self._live)
 
     def _show(self, seen: Callable[[], str], live: bool = True, every: float | None = None) -> None:
         """Where it is time for another line: `every` is the time between two, s."""
         every = (_LIVE if self._live else _LOGGED) if every is None else every
         now = time.perf_counter()
-        early = now - self._begin < self._patience
+        early = now - self.begin < self._patience
         if self.shown and not early and now - self._written >= every:
             self._written = now
-            self._write(f"{seen()}   {now - self._begin:5.1f} s", live and self._live)
+            self._write(f"{seen()}   {now - self.begin:5.1f} s", live and self._live)
 
     def _write(self, text: str, live: bool) -> None:
         line = f"{self.what:<9} {text}"
@@ -225,8 +225,8 @@ def _look() -> None:
         time.sleep(_TICK)
         lines = list(_WATCHED)
         if lines:
-            outermost = next(line for line in lines if line._thread == lines[-1]._thread)
-            lines[-1].waited(outermost._begin)
+            outermost = next(line for line in lines if line.thread == lines[-1].thread)
+            lines[-1].waited(outermost.begin)
         else:
             _ANY.clear()
             if _WATCHED:  # one began in between

@@ -106,7 +106,7 @@ def test_it_is_sparse_where_there_is_no_terminal() -> None:
 def test_a_bar_counts_what_this_run_does() -> None:
     terminal = Terminal()
     progress = tx.trajectory.Progress("sweep", stream=terminal)
-    progress._begin -= 60.0
+    progress.begin -= 60.0
     progress.done(0.75, "40 members", before=0.5)
     assert "]  75% of 40 members, 60 s left" in terminal.getvalue()
     assert terminal.getvalue().count("=") == 18
