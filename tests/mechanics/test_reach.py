@@ -115,6 +115,24 @@ def test_what_is_too_far_is_a_minimum_of_all_seeds() -> None:
     assert np.allclose([x[0], y[0]], targets[0, :2], atol=1e-5)
 
 
+@pytest.mark.thorough
+def test_an_arm_of_many_joints_reaches() -> None:
+    """Its second derivatives have 144 entries, more than kernels of scalars have: it is one of matrices."""
+    arm = planar_arm(*[(-0.5, 0.5)] * 12)
+    targets = np.array([[9.0, 4.0, 0.0], [0.0, 15.0, 0.0], [11.5, -1.0, 0.0]])
+    result = reach(arm, {"tip": targets})
+    assert np.asarray(result.status).tolist() == [ReachStatus.REACHED, ReachStatus.LIMIT, ReachStatus.REACHED]
+    angles = np.cumsum(np.asarray(result.x["q"]), axis=1)
+    tips = np.stack([np.cos(angles).sum(axis=1), np.sin(angles).sum(axis=1)], axis=1)
+    np.testing.assert_allclose(tips[[0, 2]], targets[[0, 2], :2], atol=1e-5)
+    np.testing.assert_allclose(result.distance[1, 0], np.linalg.norm(tips[1] - targets[1, :2]), rtol=1e-9)
+    alone = reach(arm, {"tip": targets[0]})
+    np.testing.assert_allclose(alone.x["q"], result.x["q"][0], atol=1e-9)
+    moved = jax.jacfwd(lambda p: reach(arm, {"tip": p}).x["q"])(targets[0])
+    J = np.stack([np.cumsum(rows[::-1])[::-1] for rows in (-np.sin(angles[0]), np.cos(angles[0]))])
+    np.testing.assert_allclose(J @ np.asarray(moved)[:, :2], np.eye(2), atol=1e-6)
+
+
 def test_searches_of_what_is_out_of_reach_end_at_minima() -> None:
     """SciPy does not come nearer from the result, within the same limits. It does without the limit of a joint that is
     named, and without that of no other one.

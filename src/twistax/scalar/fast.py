@@ -191,6 +191,19 @@ def part_of_package(function: Callable[P, R], backend: Backend | Literal["auto"]
     return Fast(function, chosen(backend, Native() if installed() else XLA()), {}, warns=False)
 
 
+def loops_of_package(function: Callable[..., R], largest: int) -> Callable[..., R]:
+    """`part_of_package` for a function whose `while` loops end for all arguments.
+
+    Args:
+        largest: the number of entries of the largest array in its loops. Above `XLA.widest` matrices are loops over
+            their entries in one kernel, and not scalars.
+    """
+    backend = Native() if installed() else XLA()
+    if largest <= backend.widest:
+        return part_of_package(function, backend)
+    return KernelFunction(function, backend, of_matrices=True)
+
+
 def searched(
     search: Callable[[jax.Array], R], formula: Callable[[jax.Array, R], jax.Array]
 ) -> Callable[[Any], jax.Array]:

@@ -15,7 +15,7 @@ from ...checks import listed, number, real_array, short, whole
 from ...errors import InputError
 from ...jax_inside import is_traced
 from ...progress import watching
-from ...scalar.fast import part_of_package
+from ...scalar.fast import loops_of_package, part_of_package
 from ...system.lower import lower
 from ...system.system import constraints_by_name
 from ..algorithms.dynamics import checked
@@ -199,8 +199,10 @@ class _Reacher:
         parts = [self._feature(name, np.asarray(poses[name])) for name in self._frames]
         self._features = np.concatenate([np.zeros((seeds * candidates, 0)), *parts], axis=1)
         self._search = SeededSearch(self.errors, options)
-        self._first_steps = part_of_package(self._search.first_steps)
-        self._remaining_steps = part_of_package(self._search.remaining_steps)
+        n = errors.space.mechanism.dofs
+        largest = max(errors.size, n) * n  # of the Jacobian and of the second derivatives
+        self._first_steps = loops_of_package(self._search.first_steps, largest)
+        self._remaining_steps = loops_of_package(self._search.remaining_steps, largest)
         self._last_step = part_of_package(self._polished)
         self._call = jax.jit(self._all, static_argnums=3)
 
