@@ -219,7 +219,7 @@ def _watch(line: Progress) -> None:
 
 
 def _look() -> None:
-    """Give the newest call that goes on a line, again and again; sleep while there is none."""
+    """Show a line for the newest unfinished call, again and again; sleep while there is none."""
     while True:
         _ANY.wait()
         time.sleep(_TICK)

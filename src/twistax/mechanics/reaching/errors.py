@@ -45,6 +45,7 @@ class ReachErrors:
         space: the configuration space.
         blocks: the rows of each position, orientation and task, and of each entry of the constraints.
         turns: by block whether it is the orientation of a target.
+        key: equal for errors that one compiled search serves.
         rows_of_tasks, size: the number of rows of the tasks, and of all.
     Raises: ModelError for unknown frames; a mechanism with loop constraints, or with joints on other groups; tasks
         whose targets are controls, or whose errors do not depend on positions.
@@ -86,7 +87,7 @@ class ReachErrors:
         self._parameters = {leaf.name: leaf.value for leaf in parameters if leaf.value is not None}
         shared = (tuple(self.shapes.items()), tuple(self.constraints.sizes.items()), tuple(self._secondary.sizes))
         self._traced = jax.jit(self._residuals)  # once for all parts of a search
-        self._key = (mechanism, tuple(further.sizes), *shared, *(part.key() for part in parts))
+        self.key = (mechanism, tuple(further.sizes), *shared, *(part.key() for part in parts))
 
     def _need_positions(self, task: Task) -> None:
         """Raise ModelError for a task of velocities, whose error no positions reduce."""
@@ -102,10 +103,10 @@ class ReachErrors:
         return ReachErrors(*arguments)
 
     def __hash__(self) -> int:
-        return hash(self._key)
+        return hash(self.key)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, ReachErrors) and self._key == other._key
+        return isinstance(other, ReachErrors) and self.key == other.key
 
     def numbers(self, length: float) -> Arrays:
         """The numbers that do not belong to the structure: parameters by name, and the weights of all rows.
